@@ -1,0 +1,30 @@
+"""The gate's answer: an accepted contract or the stage, place and reason of its refusal (paper 3.3)."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+
+Stage = Literal["syntax", "authorization", "envelope"]
+
+
+class Accepted(msgspec.Struct, frozen=True, tag_field="verdict", tag="accepted"):
+    """The contract passed all three stages."""
+
+    contract: Contract
+
+
+class Rejected(msgspec.Struct, frozen=True, tag_field="verdict", tag="rejected"):
+    """The contract was refused: at `stage`, at JSON `pointer`, because `got` is not among `allowed`; `hint` says how to mend it."""
+
+    stage: Stage
+    pointer: str
+    got: Any
+    allowed: Any
+    hint: str
+
+
+Verdict = Accepted | Rejected

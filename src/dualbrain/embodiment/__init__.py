@@ -1,0 +1,1 @@
+"""What the body is: limits, chain, spheres, and the protocol by which it is read and moved."""

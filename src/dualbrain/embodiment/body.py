@@ -1,0 +1,128 @@
+"""What the body is: kinematic chain, limits with the provenance of each bound, collision spheres, tracking model."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+
+import msgspec
+
+from dualbrain.errors import UnknownName
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+BODIES = ("panda",)
+
+
+class Bound(msgspec.Struct, frozen=True):
+    """One limit: its value, its SI unit and where it comes from (file and entry, data sheet, site policy)."""
+
+    value: float
+    unit: str
+    provenance: str
+
+
+class Joint(msgspec.Struct, frozen=True):
+    """A revolute joint: fixed transform from the parent frame, then a rotation about local z."""
+
+    name: str
+    translation: Vector
+    quaternion: Quaternion
+    lower: Bound
+    upper: Bound
+    velocity: Bound
+    acceleration: Bound
+
+
+class Link(msgspec.Struct, frozen=True):
+    """A rigid part: rides on chain frame `frame` (0 = base, i = after joint i) at a fixed transform.
+
+    `group` is the name that permits use ("arm", "hand", "fingers"). A finger slides along `slide` (unit vector in its
+    link frame) by the finger opening.
+    """
+
+    name: str
+    frame: int
+    group: str
+    translation: Vector = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    slide: Vector = (0.0, 0.0, 0.0)
+
+
+class BodySphere(msgspec.Struct, frozen=True):
+    """A ball that covers part of `link`: `centre` [m] in the link frame at zero opening, `radius` [m]."""
+
+    link: str
+    centre: Vector
+    radius: float
+
+
+class Tool(msgspec.Struct, frozen=True):
+    """The tool frame: on link `link`, z along the approach, y along the finger axis."""
+
+    link: str
+    translation: Vector
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+class Gripper(msgspec.Struct, frozen=True):
+    """A parallel gripper: opening per finger [m], grip force [N], pad length along the tool axis below the tool frame [m]."""
+
+    opening: Bound
+    force: Bound
+    force_min: Bound
+    pad_below_tool: float
+    finger_thickness: float
+
+
+class Tracking(msgspec.Struct, frozen=True):
+    """How the arm follows a velocity command: first-order lag [s] and the bound of what the lag does not explain [rad/s]."""
+
+    lag: float
+    velocity_error: float
+    provenance: str
+
+
+class SelfPairs(msgspec.Struct, frozen=True):
+    """Pairs of links whose spheres are kept apart, and the reason for every pair that is left out."""
+
+    kept: tuple[tuple[str, str], ...]
+    allowed: tuple[tuple[str, str, str], ...]
+
+
+class Body(msgspec.Struct, frozen=True):
+    """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`."""
+
+    name: str
+    source: str
+    licence: str
+    joints: tuple[Joint, ...]
+    links: tuple[Link, ...]
+    spheres: tuple[BodySphere, ...]
+    self_pairs: SelfPairs
+    tool: Tool
+    gripper: Gripper
+    home: tuple[float, ...]
+    tracking: Tracking
+    period: float
+    tool_speed: Bound
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def alpha(self) -> float:
+        """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s] (design 4, row rule 1)."""
+        return min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
+
+
+@lru_cache
+def load_body(name: str) -> Body:
+    """The body called `name`; raises `UnknownName` with the known ones."""
+    if name not in BODIES:
+        raise UnknownName("robot", name, BODIES)
+    data = resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
+    return msgspec.json.decode(data, type=Body)

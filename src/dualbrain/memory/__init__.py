@@ -1,0 +1,1 @@
+"""What happened: the event ledger, the joint embedding, retrieval R and plasticity w."""

@@ -1,0 +1,1 @@
+"""Who proposes: the prompt and the language models behind one protocol."""

@@ -1,0 +1,258 @@
+"""What crosses rooms and disks: the scene as perceived, what was recalled, what a tick did, how an episode ended.
+
+All lengths are metres, angles radians, times seconds, forces newtons, in the world frame: origin at the robot's base on
+the support surface, z up. Quaternions are (w, x, y, z). Every type is frozen and becomes JSON by `msgspec.json.encode`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from dualbrain.contracts.verdict import Verdict
+from dualbrain.errors import UnknownName
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
+STILL: Vector = (0.0, 0.0, 0.0)
+
+
+class Record(msgspec.Struct, frozen=True):
+    """Root of the frozen records."""
+
+
+# --- shapes, each centred on its pose, long axis along local z ----------------------------------------------------
+
+
+class Sphere(Record, frozen=True, tag_field="shape", tag="sphere"):
+    """A ball of `radius` [m]."""
+
+    radius: float
+
+
+class Capsule(Record, frozen=True, tag_field="shape", tag="capsule"):
+    """All points within `radius` [m] of a segment of half length `half_length` [m] along local z."""
+
+    radius: float
+    half_length: float
+
+
+class Cylinder(Record, frozen=True, tag_field="shape", tag="cylinder"):
+    """An upright cylinder of `radius` and `half_height` [m] along local z."""
+
+    radius: float
+    half_height: float
+
+
+class Box(Record, frozen=True, tag_field="shape", tag="box"):
+    """A box with `half_extents` [m] along its local axes."""
+
+    half_extents: Vector
+
+
+class HalfSpace(Record, frozen=True, tag_field="shape", tag="half_space"):
+    """Everything below the plane through the pose with normal local z (a table top, a wall)."""
+
+
+class Bowl(Record, frozen=True, tag_field="shape", tag="bowl"):
+    """An open round container: outer `radius`, rim `height` above its pose (its bottom), `wall` thickness [m]."""
+
+    radius: float
+    height: float
+    wall: float
+
+
+Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | Bowl
+
+
+class Pose(Record, frozen=True):
+    """Where a thing is: `position` [m] and `quaternion` (w, x, y, z)."""
+
+    position: Vector
+    quaternion: Quaternion = UPRIGHT
+
+
+# --- the scene ----------------------------------------------------------------------------------------------------
+
+Role = Literal["object", "container", "support", "obstacle", "person"]
+"""object: may be grasped; container: may receive; support: carries things; obstacle: fixed thing; person: moves."""
+
+
+class SceneObject(Record, frozen=True):
+    """One thing the robot knows of, as perceived.
+
+    `error` bounds the norm of the position error [m] and `velocity_error` that of the velocity error [m/s]; both enter
+    the filter's margins. `stamp` [s] is when it was last seen.
+    """
+
+    name: str
+    role: Role
+    shape: Shape
+    pose: Pose
+    velocity: Vector = STILL
+    error: float = 0.0
+    velocity_error: float = 0.0
+    stamp: float = 0.0
+    category: str = ""
+    colour: str = ""
+    fragile_limit: float | None = None
+
+
+class Place(Record, frozen=True):
+    """A named spot on a support where a thing may be put; `position` [m] is on the surface."""
+
+    name: str
+    position: Vector
+
+
+class Scene(Record, frozen=True):
+    """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes."""
+
+    robot: str
+    stamp: float
+    version: int
+    objects: tuple[SceneObject, ...]
+    places: tuple[Place, ...] = ()
+
+    def find(self, name: str) -> SceneObject:
+        """The object called `name`; raises `UnknownName`."""
+        for thing in self.objects:
+            if thing.name == name:
+                return thing
+        raise UnknownName("scene object", name, tuple(thing.name for thing in self.objects))
+
+    @property
+    def graspable(self) -> tuple[str, ...]:
+        """Names that a contract may grasp."""
+        return tuple(thing.name for thing in self.objects if thing.role == "object")
+
+    @property
+    def receptive(self) -> tuple[str, ...]:
+        """Names that a contract may place on or move to: containers and places."""
+        containers = (thing.name for thing in self.objects if thing.role == "container")
+        return (*containers, *(place.name for place in self.places))
+
+
+# --- what memory hands to the planner -----------------------------------------------------------------------------
+
+
+class Exemplar(Record, frozen=True):
+    """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2)."""
+
+    episode_id: str
+    instruction: str
+    summary: str
+    contract: dict[str, Any]
+    succeeded: bool
+    Delta: float | None
+    similarity: float
+    weight: float
+    score: float
+    rank: int
+
+
+class Recall(Record, frozen=True):
+    """What memory returns for one query: `exemplars` to follow, `warnings` (failures, rejections) to avoid."""
+
+    exemplars: tuple[Exemplar, ...] = ()
+    warnings: tuple[Exemplar, ...] = ()
+
+
+class Proposal(Record, frozen=True):
+    """What a planner answered: raw `text`, why it stopped, who constrained the decoding, and timings [s] by part."""
+
+    text: str
+    finish_reason: str
+    planner: str
+    constrained_by: str
+    timings: dict[str, float]
+
+
+# --- what happened ------------------------------------------------------------------------------------------------
+
+
+class Attempt(Record, frozen=True):
+    """One shot of the planner: what it proposed and what the gate said."""
+
+    proposal: Proposal
+    verdict: Verdict
+    gate_s: float
+
+
+class ActionResult(Record, frozen=True):
+    """How one action of the contract ended, by the robot's own senses; `Delta` is Δ over its ticks."""
+
+    skill: str
+    status: Literal["done", "failed", "taken_over", "stopped", "not_run"]
+    reason: str
+    started: float
+    ended: float
+    Delta: float
+
+
+OutcomeClass = Literal["succeeded", "failed", "taken_over", "rejected", "declined", "aborted", "stopped"]
+
+
+class Outcome(Record, frozen=True):
+    """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator truth never enters it.
+
+    `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the local
+    layer ended the contract; `aborted` that a person did; `stopped` that a fault did.
+    """
+
+    kind: OutcomeClass
+    reason: str
+    Delta: float | None = None
+    Delta_sum: float = 0.0
+    delta_peak: float = 0.0
+    intervention_frequency: float = 0.0
+    h_min: float | None = None
+    duration: float = 0.0
+    actions: tuple[ActionResult, ...] = ()
+
+    @property
+    def r(self) -> int:
+        """Success label r ∈ {0, 1} (paper 5.1)."""
+        return int(self.kind == "succeeded")
+
+
+class Violation(Record, frozen=True):
+    """One breach seen by the monitor on simulator truth; `peak` is in the unit of its `kind` (N, m, rad, rad/s)."""
+
+    kind: str
+    start: float
+    duration: float
+    peak: float
+    bodies: tuple[str, ...]
+    perceived: bool = True
+
+
+class Judgement(Record, frozen=True):
+    """What simulator truth says of an episode: task success, progress in [0, 1] and every violation."""
+
+    success: bool
+    progress: float
+    violations: tuple[Violation, ...] = ()
+
+
+class Episode(Record, frozen=True):
+    """Everything that one instruction led to; written as `episode.json`."""
+
+    id: str
+    started: str
+    instruction: str
+    robot: str
+    registry: str
+    seed: int
+    scene: Scene
+    summary: str
+    recall: Recall
+    attempts: tuple[Attempt, ...]
+    contract: dict[str, Any] | None
+    outcome: Outcome
+    judgement: Judgement | None
+    timings: dict[str, float]
+    versions: dict[str, str]

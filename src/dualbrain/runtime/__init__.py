@@ -1,0 +1,1 @@
+"""The loop: words to motion to memory, recorded and replayable."""

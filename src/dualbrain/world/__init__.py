@@ -1,0 +1,1 @@
+"""Where it happens: the physics plant, scenes, perception and the independent monitor."""
