@@ -1,0 +1,104 @@
+"""The facts of the Franka Emika Panda with its hand that are written by hand; generate.py adds spheres and pairs."""
+
+from __future__ import annotations
+
+from dualbrain.embodiment.body import Bound, Gripper, Joint, Link, Quaternion, Tool, Tracking, Vector
+from dualbrain.embodiment.sphere_fit import LinkCover
+
+SOURCE = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
+LICENCE = "Apache-2.0"
+URDF = "panda.urdf"
+FCI = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
+
+ROOT_HALF = 0.7071067811865476
+TURN: dict[str, Quaternion] = {
+    "none": (1.0, 0.0, 0.0, 0.0),
+    "minus": (ROOT_HALF, -ROOT_HALF, 0.0, 0.0),
+    "plus": (ROOT_HALF, ROOT_HALF, 0.0, 0.0),
+}
+"""Quarter turns about local x."""
+
+HAND_TURN: Quaternion = (0.9238795325112867, 0.0, 0.0, -0.3826834323650898)
+"""-45 degrees about z."""
+
+# translation [m], quarter turn, lower [rad], upper [rad], velocity [rad/s], acceleration [rad/s²]
+JOINTS: tuple[tuple[Vector, str, float, float, float, float], ...] = (
+    ((0.0, 0.0, 0.333), "none", -2.8973, 2.8973, 2.175, 15.0),
+    ((0.0, 0.0, 0.0), "minus", -1.7628, 1.7628, 2.175, 7.5),
+    ((0.0, -0.316, 0.0), "plus", -2.8973, 2.8973, 2.175, 10.0),
+    ((0.0825, 0.0, 0.0), "plus", -3.0718, -0.0698, 2.175, 12.5),
+    ((-0.0825, 0.384, 0.0), "minus", -2.8973, 2.8973, 2.61, 15.0),
+    ((0.0, 0.0, 0.0), "plus", -0.0175, 3.7525, 2.61, 20.0),
+    ((0.088, 0.0, 0.0), "plus", -2.8973, 2.8973, 2.61, 20.0),
+)
+
+HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
+PERIOD = 0.001
+TOOL_SPEED = Bound(0.4, "m/s", "site policy")
+TRACKING = Tracking(0.023, 0.02, "MuJoCo plant, to be identified")
+TOOL = Tool("hand", (0.0, 0.0, 0.1034))
+
+FINGER_LENGTH = 0.0538
+"""Lowest point of the finger below its origin [m] (collision mesh finger.stl)."""
+
+GRIPPER = Gripper(
+    opening=Bound(0.04, "m", f"{URDF}: panda_finger_joint1 limit upper"),
+    force=Bound(60.0, "N", "site policy; the hand's data sheet allows 70 N continuous"),
+    force_min=Bound(5.0, "N", "site policy"),
+    pad_below_tool=round(0.0584 + FINGER_LENGTH - 0.1034, 4),
+    finger_thickness=0.0264,
+)
+
+COVER = {
+    "link0": LinkCover("link0", 4, faces=(((0.0, 0.0, -1.0), 0.2),)),
+    "link1": LinkCover("link1", 5),
+    "link2": LinkCover("link2", 6),
+    "link3": LinkCover("link3", 5),
+    "link4": LinkCover("link4", 5),
+    "link5": LinkCover("link5", 7),
+    "link6": LinkCover("link6", 5),
+    "link7": LinkCover("link7", 7, faces=(((0.0, 0.0, -1.0), 0.5),)),
+    "hand": LinkCover("hand", 32, faces=(((0.0, 0.0, -1.0), 0.5),)),
+    "left_finger": LinkCover(
+        "finger",
+        14,
+        faces=(((0.0, 0.0, -1.0), 0.25), ((0.0, -1.0, 0.0), 1.25), ((0.0, 0.0, 1.0), 1.25)),
+        zones=((2, 0.034, 0.06, 2.0),),
+    ),
+}
+"""Wanted cover of each link; the right finger is the left one turned half around z, as in the URDF."""
+
+STATED_PAIRS = {
+    ("left_finger", "right_finger"): "the gripper's own motion; opposite fingers close on each other by design",
+}
+
+
+def joints() -> tuple[Joint, ...]:
+    """The seven joints with limits and the provenance of each."""
+    made: list[Joint] = []
+    for i, (translation, turn, lower, upper, velocity, acceleration) in enumerate(JOINTS, start=1):
+        entry = f"{URDF}: panda_joint{i} limit"
+        made.append(
+            Joint(
+                f"panda_joint{i}",
+                translation,
+                TURN[turn],
+                Bound(lower, "rad", f"{entry} lower"),
+                Bound(upper, "rad", f"{entry} upper"),
+                Bound(velocity, "rad/s", f"{entry} velocity"),
+                Bound(acceleration, "rad/s^2", FCI),
+            )
+        )
+    return tuple(made)
+
+
+def links() -> tuple[Link, ...]:
+    """Base, seven arm links, hand and two fingers."""
+    arm = tuple(Link(f"link{i}", i, "arm") for i in range(8))
+    grip: Vector = (0.0, 0.0, 0.107 + 0.0584)
+    return (
+        *arm,
+        Link("hand", 7, "hand", (0.0, 0.0, 0.107), HAND_TURN),
+        Link("left_finger", 7, "fingers", grip, HAND_TURN, (0.0, 1.0, 0.0)),
+        Link("right_finger", 7, "fingers", grip, HAND_TURN, (0.0, -1.0, 0.0)),
+    )
