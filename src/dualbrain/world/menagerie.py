@@ -1,0 +1,60 @@
+"""MuJoCo Menagerie's Panda, bent to our convention: velocity drives, real grip force, named pads, gravity compensation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+KV = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)
+TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+GRIP_KP, GRIP_KV = 20000.0, 140.0
+PAD = {"friction": [1.5, 0.02, 0.0001], "condim": 4, "priority": 1, "solref": [0.005, 1]}
+
+
+def menagerie_file(checkout: Path | None) -> Path | None:
+    """The Panda's file inside a checkout or cache folder of Menagerie, or None when it is not there."""
+    if checkout is None:
+        return None
+    found = checkout / "franka_emika_panda" / "panda.xml"
+    return found if found.is_file() else None
+
+
+def adapt(robot: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Change the drives, the gripper, the pads and gravity compensation of Menagerie's Panda; returns the same spec."""
+    for thing in [*robot.keys, *robot.lights, *robot.cameras]:
+        robot.delete(thing)
+    for body in robot.bodies:
+        if body.name not in ("world", "link0"):
+            body.gravcomp = 1
+    for index, (kv, torque) in enumerate(zip(KV, TORQUE, strict=True), start=1):
+        drive = robot.actuator(f"actuator{index}")
+        drive.set_to_velocity(kv=kv)
+        drive.ctrllimited, drive.forcerange, drive.group = False, [-torque, torque], 1
+    _gripper(robot)
+    for side in ("left", "right"):
+        _pads(robot, side)
+    robot.body("hand").add_site(name="tcp", pos=[0, 0, 0.1034], group=4)
+    return robot
+
+
+def _gripper(robot: mujoco.MjSpec) -> None:
+    servo = robot.actuator("actuator8")
+    servo.set_to_position(kp=GRIP_KP, kv=GRIP_KV)
+    servo.name, servo.group = "gripper", 2
+    servo.ctrlrange, servo.forcerange = [0, 0.04], [-40, 40]
+
+
+def _pads(robot: mujoco.MjSpec, side: str) -> None:
+    finger = robot.body(f"{side}_finger")
+    boxes = [geom for geom in finger.geoms if int(geom.type) == int(mujoco.mjtGeom.mjGEOM_BOX)]
+    for index, geom in enumerate(boxes):
+        geom.name = f"{side}_pad{index or ''}"
+        for key, value in PAD.items():
+            setattr(geom, key, value)
+    finger.add_site(
+        name=f"{side}_touch", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0, 0.0035, 0.0448], size=[0.0105, 0.006, 0.011], group=5
+    )
+    robot.add_sensor(
+        name=f"{side}_touch", type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{side}_touch"
+    )

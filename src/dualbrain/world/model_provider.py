@@ -1,0 +1,98 @@
+"""Where the robot's MuJoCo model comes from: the user's file, Menagerie when it is already here, else the built-in one.
+
+Nothing is downloaded. Whatever the source, the result obeys one convention: bodies `link0`..`link7`, `hand`,
+`left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator7` in group 1, the finger servo `gripper` in group
+2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on every moving body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.world.menagerie import adapt, menagerie_file
+from dualbrain.world.visual_meshes import add_visuals, mesh_folder
+
+MODELS = ("panda",)
+REQUIRED = {
+    "body": ("link0", *(f"link{i}" for i in range(1, 8)), "hand", "left_finger", "right_finger"),
+    "actuator": (*(f"actuator{i}" for i in range(1, 8)), "gripper"),
+    "sensor": ("left_touch", "right_touch"),
+    "site": ("tcp",),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """A robot ready to be attached to a scene: its editable `spec`, `source` in words, and whether it has a look."""
+
+    name: str
+    spec: mujoco.MjSpec
+    source: str
+    has_visuals: bool
+
+
+def robot_model(
+    name: str, *, path: Path | None = None, menagerie: Path | None = None, visuals: bool = False
+) -> RobotModel:
+    """The model called `name`, from the first source that has it.
+
+    `path` is a MJCF file of the user's that obeys the convention above. `menagerie` is a checkout of MuJoCo Menagerie
+    (the caller reads MENAGERIE_ROOT); a warm cache of the package `mujoco_menagerie` is used only where `menagerie` names
+    it. Without either the built-in model is taken. `visuals` adds surface meshes, which change no physics.
+    Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
+    """
+    if name not in MODELS:
+        raise UnknownName("robot model", name, MODELS)
+    if path is not None:
+        spec, source, dressed = _user(path), f"file {path.name}", True
+    elif (found := menagerie_file(menagerie)) is not None:
+        spec, source, dressed = adapt(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
+    else:
+        spec, source, dressed = _built_in(name), "built-in", False
+    _check(spec, source)
+    if not visuals:
+        strip_visuals(spec)
+    elif not dressed and (folder := mesh_folder()) is not None:
+        add_visuals(spec, folder)
+        dressed, source = True, f"{source}, look from example-robot-data"
+    return RobotModel(name, spec, source, visuals and dressed)
+
+
+def strip_visuals(spec: mujoco.MjSpec) -> None:
+    """Delete the geoms of group 2 (looks only); for batch runs."""
+    for geom in [geom for geom in spec.geoms if geom.group == 2]:  # noqa: PLR2004
+        spec.delete(geom)
+
+
+def menagerie_installed() -> bool:
+    """Whether the downloader package is importable (it is never called from here)."""
+    return find_spec("mujoco_menagerie") is not None
+
+
+def _built_in(name: str) -> mujoco.MjSpec:
+    text = resources.files("dualbrain.world").joinpath("models", f"{name}.xml").read_text()
+    return mujoco.MjSpec.from_string(text)
+
+
+def _user(path: Path) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise InvalidSetup(
+            "robot model file", got=str(error), allowed="a MJCF file that MuJoCo loads", fix=str(path)
+        ) from error
+
+
+def _check(spec: mujoco.MjSpec, source: str) -> None:
+    for kind, names in REQUIRED.items():
+        missing = [name for name in names if getattr(spec, kind)(name) is None]
+        if missing:
+            raise InvalidSetup(
+                f"robot model ({source})", got=f"no {kind} {', '.join(missing)}", allowed=f"{kind}s {', '.join(names)}"
+            )

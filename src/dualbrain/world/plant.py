@@ -1,0 +1,194 @@
+"""The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
+
+One `advance()` is one control period of 1 ms. Joint velocity goes straight to MuJoCo's velocity actuators, torque-limited
+by `forcerange`; the gripper's force limit F is set with each command (the two fingers share one servo of 2 F). When the
+drive is disabled the motors lose torque and gravity compensation, and dry-friction brakes hold each joint.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import Array, Command, RobotState
+from dualbrain.errors import UnknownName
+from dualbrain.records import Pose
+from dualbrain.world.model_provider import robot_model
+from dualbrain.world.mover import DAMPING, STIFFNESS, path_of
+from dualbrain.world.scene_builder import PERIOD, PREFIX, build_model
+from dualbrain.world.scene_spec import SceneSpec
+
+ARM_GROUP = 1
+BRAKE_TORQUE = (120.0, 120.0, 120.0, 120.0, 30.0, 30.0, 30.0)  # [Nm] holding torque, above the motors' own limits
+FINGER_SPEED = 0.05  # [m/s each], data sheet of the hand
+FINGER_LEAD = 0.002  # [m] by which the finger set point may run ahead beyond what the force needs
+OPENING_FORCE = 20.0  # [N] per finger available to open, whatever the grip force
+SERVO_STIFFNESS = 20000.0  # [N/m] of the finger servo (kp in the model)
+
+
+class Plant:
+    """A MuJoCo world that is driven like the real robot; also holds the truth that only judges may read."""
+
+    def __init__(self, spec: SceneSpec, body: Body, *, visuals: bool = False, model_file: Path | None = None) -> None:
+        """Build the scene with the arm at `body.home`, drive enabled, fingers open.
+
+        `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file` is a
+        robot model of the user's.
+        """
+        self.spec, self.body = spec, body
+        robot = robot_model(spec.robot, path=model_file, visuals=visuals)
+        self.model_source, self.has_visuals = robot.source, robot.has_visuals
+        self.model = build_model(spec, robot)
+        self.data = mujoco.MjData(self.model)
+        self._index()
+        self._path = path_of(spec.mover) if spec.mover is not None else None
+        self._sequence, self._enabled, self._wanted = 0, True, float(body.gripper.opening.value)
+        self._set_force(float(body.gripper.force_min.value))
+        self.place_arm(np.array(body.home))
+
+    # --- the robot protocol -------------------------------------------------------------------------------------
+
+    def read(self) -> RobotState:
+        """The newest state: joints as measured, opening as the mean of both fingers, pad forces by contact."""
+        data = self.data
+        left, right = data.sensordata[self._touch].tolist()
+        self._sequence += 1
+        return RobotState(
+            data.time, self._sequence, data.qpos[self._arm].copy(), data.qvel[self._dof].copy(), self._opening(), (left, right),
+            self._enabled,
+        )  # fmt: skip
+
+    def write(self, command: Command) -> None:
+        """Hold `command` until the next one; ignored while the drive is disabled."""
+        if not self._enabled:
+            return
+        self.data.ctrl[self._drives] = command.u
+        self._wanted = command.opening
+        if command.force != self._force:
+            self._set_force(command.force)
+
+    def stop(self) -> None:
+        """Cut the motors and engage the brakes; stays so until `enable`."""
+        self._enabled = False
+        self.data.ctrl[self._drives] = 0.0
+        self._wanted = self._opening() if self._force == 0.0 else self._wanted
+        self.model.opt.disableactuator |= 1 << ARM_GROUP
+        self.model.dof_frictionloss[self._dof] = BRAKE_TORQUE
+        self.model.body_gravcomp[self._moving] = 0.0
+
+    def enable(self) -> None:
+        """Release the brakes with a velocity command of zero."""
+        self._enabled = True
+        self.data.ctrl[self._drives] = 0.0
+        self.model.opt.disableactuator &= ~(1 << ARM_GROUP)
+        self.model.dof_frictionloss[self._dof] = 0.0
+        self.model.body_gravcomp[self._moving] = 1.0
+
+    # --- the world ----------------------------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """One control period: fingers and forearm get their set points, then physics."""
+        data = self.data
+        opening = self._opening()
+        step = self._wanted - self._finger
+        limit = FINGER_SPEED * PERIOD
+        target = self._finger + (limit if step > limit else -limit if step < -limit else step)
+        self._finger = min(max(target, opening - self._lead), opening + self._lead)
+        data.ctrl[self._grip] = self._finger
+        if self._path is not None:
+            distance, rate = self._path.at(data.time)
+            data.ctrl[self._mover_drives] = (distance + rate * DAMPING / STIFFNESS - self._mover_zero) * self._path.direction
+        mujoco.mj_step(self.model, data)
+
+    @property
+    def now(self) -> float:
+        """Simulated time [s]."""
+        return self.data.time
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every thing whose truth can be asked for, the mover last."""
+        mover = (self.spec.mover.name,) if self.spec.mover is not None else ()
+        return (*(thing.name for thing in self.spec.things), *mover)
+
+    def truth(self, name: str) -> Pose:
+        """True pose of a thing (a forearm's local z is its long axis); for judges, never for the robot."""
+        self._known(name)
+        if self.spec.mover is not None and name == self.spec.mover.name:
+            quaternion = np.zeros(4)
+            mujoco.mju_mat2Quat(quaternion, self.data.geom(name).xmat)
+            return Pose(_vector(self.data.geom(name).xpos), _quaternion(quaternion))
+        body = self.data.body(name)
+        return Pose(_vector(body.xpos), _quaternion(body.xquat))
+
+    def velocity(self, name: str) -> Array:
+        """True linear velocity [m/s] of a thing, shape (3,)."""
+        self._known(name)
+        motion = np.zeros(6)
+        body = int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name))
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, motion, 0)
+        return motion[3:]
+
+    def tool_pose(self) -> tuple[Array, Array]:
+        """True position (3,) and rotation (3, 3) of the tool frame."""
+        site = self.data.site(f"{PREFIX}tcp")
+        return site.xpos.copy(), site.xmat.reshape(3, 3).copy()
+
+    def place_arm(self, q: Array, opening: float | None = None) -> None:
+        """Put the arm at `q` at rest without passing in between (set-up and tests only)."""
+        data = self.data
+        data.qpos[self._arm], data.qvel[self._dof] = q, 0.0
+        self._finger = float(self.body.gripper.opening.value) if opening is None else opening
+        self._wanted = self._finger
+        data.qpos[self._fingers], data.qvel[self._finger_dofs] = self._finger, 0.0
+        data.ctrl[self._grip] = self._finger
+        mujoco.mj_forward(self.model, data)
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _index(self) -> None:
+        model, n = self.model, self.body.n
+        arm = [model.joint(f"{PREFIX}joint{index + 1}") for index in range(n)]
+        fingers = [model.joint(f"{PREFIX}finger_joint{index}") for index in (1, 2)]
+        self._arm = slice(int(arm[0].qposadr[0]), int(arm[-1].qposadr[0]) + 1)
+        self._fingers = slice(int(fingers[0].qposadr[0]), int(fingers[1].qposadr[0]) + 1)
+        self._dof = slice(int(arm[0].dofadr[0]), int(arm[-1].dofadr[0]) + 1)
+        self._finger_dofs = slice(int(fingers[0].dofadr[0]), int(fingers[1].dofadr[0]) + 1)
+        drives = [int(model.actuator(f"{PREFIX}actuator{index + 1}").id) for index in range(n)]
+        self._drives = slice(drives[0], drives[-1] + 1)
+        self._grip = int(model.actuator(f"{PREFIX}gripper").id)
+        touch = [int(model.sensor(f"{PREFIX}{side}_touch").adr[0]) for side in ("left", "right")]
+        self._touch = slice(touch[0], touch[1] + 1)
+        links = [*(f"link{index + 1}" for index in range(n)), "hand", "left_finger", "right_finger"]
+        self._moving = np.array([int(model.body(f"{PREFIX}{link}").id) for link in links])
+        if self.spec.mover is not None:
+            ids = [int(model.actuator(f"{self.spec.mover.name}_{axis}").id) for axis in "xyz"]
+            self._mover_drives = slice(ids[0], ids[-1] + 1)
+            self._mover_zero, _ = path_of(self.spec.mover).at(0.0)
+
+    def _opening(self) -> float:
+        left, right = self.data.qpos[self._fingers].tolist()
+        return 0.5 * (left + right)
+
+    def _set_force(self, force: float) -> None:
+        """Bound the servo so that each finger presses with at most `force` [N]."""
+        self._force = force
+        self.model.actuator_forcerange[self._grip] = (-2.0 * force, 2.0 * max(force, OPENING_FORCE))
+        self._lead = 2.0 * max(force, OPENING_FORCE) / SERVO_STIFFNESS + FINGER_LEAD
+
+    def _known(self, name: str) -> None:
+        if name not in self.names:
+            raise UnknownName("thing", name, self.names, owner=f"scene {self.spec.family}")
+
+
+def _vector(values: Array) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return (x, y, z)
+
+
+def _quaternion(values: Array) -> tuple[float, float, float, float]:
+    w, x, y, z = values.tolist()
+    return (w, x, y, z)
