@@ -1,0 +1,53 @@
+# Two commands do everything from a bare Debian machine: `make demo` and `make test`.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PLANNER ?= qwen2.5-coder-1.5b-instruct
+INSTRUCTION ?= put the red cube in the bowl
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
+
+.PHONY: help demo test setup format check kernel pytest prove bench clean
+
+help:  ## what can be made
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(VENV)/.ready: pyproject.toml constraints.txt scripts/setup.sh $(KERNEL_SOURCES)
+	@PYTHON=$(PYTHON) VENV=$(VENV) scripts/setup.sh
+	@touch $@
+
+setup: $(VENV)/.ready  ## system packages, virtual environment, compiled kernel
+
+demo: setup  ## words become safe motion: model weights, live view, report
+	@$(BIN)/dualbrain models fetch $(PLANNER) minilm-l6-v2-int8 minilm-l6-v2-tokenizer
+	@$(BIN)/dualbrain demo "$(INSTRUCTION)" --planner $(PLANNER) $(if $(HEADLESS),--headless)
+
+test: setup check kernel pytest  ## format, lint, types, import layers, kernel under sanitizers, tests
+
+format: setup
+	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+kernel: setup
+	$(BIN)/python -m pytest -q tests/kernel
+
+pytest: setup
+	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer
+	$(BIN)/python -m pytest -q -n 2 --ignore=tests/kernel
+
+prove: setup  ## the big proofs: slow, resumable; figures go to prove/
+	@$(BIN)/python benchmarks/prove.py
+
+bench: setup  ## timings beside named peers
+	@$(BIN)/python benchmarks/gate.py && $(BIN)/python benchmarks/filter_step.py
+
+clean:
+	rm -rf $(VENV) build runs

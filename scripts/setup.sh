@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# Everything dualbrain needs on a bare Debian machine: system packages, a virtual environment, the compiled kernel.
+set -euo pipefail
+PYTHON=${PYTHON:-python3}
+VENV=${VENV:-.venv}
+
+say() { printf '\033[1m==>\033[0m %s\n' "$*" >&2; }
+die() { printf 'setup: %s\n' "$*" >&2; exit 5; }
+
+"$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null ||
+  die "Python 3.11 or newer is needed, got $("$PYTHON" --version 2>&1). Install it, or set PYTHON=/path/to/python3."
+
+# --- system packages -------------------------------------------------------------------------------------------------
+missing=()
+"$PYTHON" -c 'import ensurepip, venv' 2>/dev/null || missing+=(python3-venv)
+command -v gcc >/dev/null && command -v g++ >/dev/null && command -v make >/dev/null || missing+=(build-essential)
+ldconfig -p | grep -q libEGL.so.1 || missing+=(libegl1)
+ldconfig -p | grep -q libOpenGL.so.0 || missing+=(libopengl0)
+ldconfig -p | grep -q 'libGL.so.1' || missing+=(libgl1)
+ldconfig -p | grep -q libOSMesa.so || missing+=(libosmesa6)
+ls /usr/lib/*/dri/swrast_dri.so >/dev/null 2>&1 || missing+=(libgl1-mesa-dri)
+if [ "${SKIP_BROWSER:-}" = "" ]; then
+  command -v chromium >/dev/null || missing+=(chromium)
+  command -v chromedriver >/dev/null || missing+=(chromium-driver)
+fi
+if [ ${#missing[@]} -gt 0 ]; then
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    say "installing Debian packages: ${missing[*]}"
+    apt-get update -qq >/dev/null
+    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+  else
+    die "these Debian packages are missing: ${missing[*]}. As root: apt-get install ${missing[*]}"
+  fi
+fi
+
+# --- Python environment ----------------------------------------------------------------------------------------------
+[ -x "$VENV/bin/python" ] || { say "creating $VENV"; "$PYTHON" -m venv "$VENV"; }
+say "installing Python packages (pinned in constraints.txt)"
+export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
+"$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q --no-deps example-robot-data 2> >(grep -v 'is ignored: it is neither' >&2)
+say "compiling the safety kernel"
+"$VENV/bin/pip" install -q --no-build-isolation -e '.[all,dev]' 2> >(grep -v 'is ignored: it is neither' >&2)
+say "ready: try $VENV/bin/dualbrain --help"

@@ -1,0 +1,44 @@
+"""dualbrain check: what the gate says of a contract."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.exits import Exit
+from dualbrain.errors import InvalidSetup
+
+
+def check(
+    contract: Path,
+    /,
+    *,
+    robot: str = "panda",
+    scene: Annotated[str, Parameter(help="scene number, FAMILY:SEED or file")] = "0",
+) -> int:
+    """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
+
+    The verdict has `accepted`, and on refusal `stage` (syntax, authorization or envelope), `pointer`, `got`, `allowed`
+    and `hint`. Exit code 0 when accepted, 3 when rejected.
+
+    Parameters
+    ----------
+    contract
+        The contract's JSON file, or - for standard input.
+    """
+    from dualbrain.contracts.verdict import Accepted  # noqa: PLC0415  (heavy)
+    from dualbrain.runtime.desk import check_contract  # noqa: PLC0415
+
+    try:
+        data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()
+    except OSError as error:
+        raise InvalidSetup("contract file", got=error.strerror, allowed="a readable file", fix=str(contract)) from error
+    verdict = check_contract(data, robot=robot, scene=scene)
+    accepted = isinstance(verdict, Accepted)
+    body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
+    print(msgspec.json.encode({"accepted": accepted, **body}).decode())
+    return Exit.SUCCESS if accepted else Exit.REJECTED

@@ -1,0 +1,15 @@
+"""What the exit code of a command means."""
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """Exit codes, the same for every command."""
+
+    SUCCESS = 0
+    FAILED_SAFELY = 1
+    USAGE = 2
+    REJECTED = 3
+    VIOLATION = 4
+    SETUP = 5
+    INTERRUPTED = 130

@@ -1,0 +1,55 @@
+"""The command line: one line per command here, one file per command beside it, nothing heavy imported before it is needed."""
+
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App, CycloptsError
+
+from dualbrain import __version__
+from dualbrain.cli.exits import Exit
+from dualbrain.errors import DualbrainError
+
+app = App(
+    name="dualbrain",
+    version=__version__,
+    help="""A language model proposes, a local safety filter disposes.
+
+    Start with `dualbrain demo`, then `dualbrain run "put the red cube in the bowl"`.
+
+    Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
+    seen, 5 broken set-up, 130 interrupted.""",
+    help_format="markdown",
+)
+models = App(name="models", help="Model weights: what there is, and fetch it.")
+app.command(models)
+
+app.command("dualbrain.cli.run:run", name="run")
+app.command("dualbrain.cli.demo:demo", name="demo")
+app.command("dualbrain.cli.schema:schema", name="schema")
+app.command("dualbrain.cli.check:check", name="check")
+app.command("dualbrain.cli.replay:replay", name="replay")
+app.command("dualbrain.cli.doctor:doctor", name="doctor")
+models.command("dualbrain.cli.models:list_models", name="list")
+models.command("dualbrain.cli.models:fetch", name="fetch")
+
+
+def main() -> None:
+    """Run the command line and leave with its exit code."""
+    sys.exit(call(sys.argv[1:]))
+
+
+def call(arguments: list[str]) -> int:
+    """Run one command; what it raises becomes a message on stderr and an exit code."""
+    try:
+        return int(app(arguments, exit_on_error=False, result_action="return_value") or 0)
+    except CycloptsError:
+        return Exit.USAGE
+    except DualbrainError as error:
+        print(f"dualbrain: {error}", file=sys.stderr)
+        return Exit.SETUP
+    except KeyboardInterrupt:
+        print("dualbrain: interrupted", file=sys.stderr)
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        return Exit.SUCCESS

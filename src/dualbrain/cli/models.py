@@ -1,0 +1,46 @@
+"""dualbrain models: which weights there are, and fetching them."""
+
+from __future__ import annotations
+
+import sys
+
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+from rich.table import Table
+
+from dualbrain import weights
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache
+
+
+def list_models() -> int:
+    """List the known weights: name, licence, size, whether they are here and verified."""
+    table = Table("name", "licence", "size", "here", box=None, pad_edge=False)
+    for status in weights.list_weights(cache()):
+        here = "verified" if status.verified else "present" if status.present else "-"
+        table.add_row(status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", here)
+    Console().print(table)
+    return Exit.SUCCESS
+
+
+def fetch(*names: str) -> int:
+    """Fetch weights by name, with progress; what is here and whole is not fetched again.
+
+    Parameters
+    ----------
+    names
+        Names from `dualbrain models list`; a URL of a server needs no weights and is passed over.
+    """
+    for name in names:
+        if "://" not in name:
+            _fetch_one(name)
+    return Exit.SUCCESS
+
+
+def _fetch_one(name: str) -> None:
+    file = weights.find_file(name)
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task(name, total=file.size)
+        path = weights.fetch(name, cache(), lambda done, total: bar.update(task, completed=done, total=total))
+    print(f"{name}: {path} ({file.licence}, sha256 {file.sha256[:12]}… verified)", file=sys.stderr)

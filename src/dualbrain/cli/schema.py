@@ -1,0 +1,42 @@
+"""dualbrain schema: the contract schema that a robot's skills generate."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dualbrain.cli.exits import Exit
+
+
+def schema(
+    *,
+    robot: str = "panda",
+    scene: str = "0",
+    form: Annotated[Literal["validation", "decoding", "short"], Parameter(help="which of the generated forms")] = "validation",
+) -> int:
+    """Print the Draft-07 JSON Schema of a robot's contracts, with the names of a scene.
+
+    Parameters
+    ----------
+    robot
+        Whose skills.
+    scene
+        The scene whose object and place names are offered: a number or a scene file.
+    form
+        `validation` is what the gate enforces, `decoding` what constrained decoders are given, `short` what the prompt says.
+    """
+    from dualbrain.runtime.vocabulary import spec_names, vocabulary  # noqa: PLC0415  (heavy)
+    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
+
+    registry = vocabulary(robot)
+    names = spec_names(open_scene(scene))
+    if form == "short":
+        from dualbrain.contracts.schema import short_form  # noqa: PLC0415
+
+        print(short_form(registry, names))
+    else:
+        chosen = registry.validation_schema(names) if form == "validation" else registry.decoding_schema(names)
+        print(json.dumps(chosen, indent=2, ensure_ascii=False))
+    return Exit.SUCCESS

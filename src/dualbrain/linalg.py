@@ -1,0 +1,58 @@
+"""Rotations, in the few forms the rooms need. Quaternions are (w, x, y, z), unit; angles in radians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def matrix(quaternion: Sequence[float]) -> Array:
+    """Rotation matrix (3, 3) of a quaternion (normalised here)."""
+    w, x, y, z = quaternion
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """Unit quaternion of a rotation matrix (3, 3), with w ≥ 0; stable at every angle (Shepperd's choice of pivot)."""
+    r = rotation
+    squares = np.array([r[0, 0] + r[1, 1] + r[2, 2], r[0, 0], r[1, 1], r[2, 2]])
+    pivot = int(np.argmax(squares))
+    if pivot == 0:
+        q = np.array([1.0 + squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    else:
+        i = pivot - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = np.empty(4)
+        q[0] = r[k, j] - r[j, k]
+        q[1 + i] = 1.0 + r[i, i] - r[j, j] - r[k, k]
+        q[1 + j] = r[j, i] + r[i, j]
+        q[1 + k] = r[k, i] + r[i, k]
+    q /= np.linalg.norm(q)
+    if q[0] < 0.0:
+        q = -q
+    return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
+
+
+def rotation_error(current: Array, wanted: Array) -> Array:
+    """Rotation vector (3,) in the world that turns `current` into `wanted`: log(wanted currentᵀ)."""
+    turn = wanted @ current.T
+    x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    sine = 0.5 * sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+    if sine < 1e-6 and cosine < 0.0:  # half a turn: the antisymmetric part vanishes
+        w, *axis = quaternion(turn)
+        return 2.0 * atan2(sqrt(max(0.0, 1.0 - w * w)), w) * np.asarray(axis)
+    scale = 0.5 * atan2(sine, cosine) / sine if sine > 1e-12 else 0.5
+    return np.array([scale * x, scale * y, scale * z])

@@ -1,0 +1,238 @@
+"""The local layer in lockstep: an accepted contract becomes nominal control, filtered control and motion, tick by tick.
+
+One tick: sense → skill's nominal control φ(c, x) → filter → write → log → advance. Nothing from a planner is believed
+here; a contract arrives as the gate accepted it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.contracts.contract import Action, Contract
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import Command, Robot, RobotState
+from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
+from dualbrain.runtime.log import FlightLog
+from dualbrain.safety.filter import Filtered, SafetyFilter
+from dualbrain.safety.held import cover
+from dualbrain.safety.obstacles import from_scene
+from dualbrain.safety.permit import Contact
+from dualbrain.safety.result import Status as FilterStatus
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Ending, Holding, Nominal, Senses, Status
+from dualbrain.skills.vocabulary import Running
+
+Array = NDArray[np.float64]
+
+INFEASIBLE_FOR = 0.05
+"""An infeasible filter brakes and clears by itself for this long [s]; then the contract is taken over."""
+BROKEN_FOR = 0.05
+"""A stopped or faulty filter for this long [s] ends the contract."""
+IDLE = -1
+"""Action index of ticks outside a contract."""
+
+
+class Surroundings(Protocol):
+    """The world beyond the robot: how it is perceived and how time passes."""
+
+    def look(self) -> Scene:
+        """The scene as perceived now."""
+        ...
+
+    def advance(self) -> None:
+        """Let one control period pass."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What an onlooker may see of a tick."""
+
+    state: RobotState
+    scene: Scene
+    nominal: Nominal
+    result: Filtered
+    action: int
+    skill: str
+
+
+@dataclass(frozen=True, slots=True)
+class LayerConfig:
+    """`guard` False writes the nominal control unfiltered (the paper's baselines); looks come every `look_every` ticks."""
+
+    guard: bool = True
+    look_every: int = 33
+    watch_every: int = 20
+    settle: float = 0.6
+
+
+class LocalLayer:
+    """Owns the control tick: skills, filter, robot, log."""
+
+    def __init__(
+        self, body: Body, robot: Robot, surroundings: Surroundings, safety: SafetyFilter, log: FlightLog,
+        config: LayerConfig, *, watch: Callable[[Moment], None] | None = None,
+        phase_changed: Callable[[str, dict[str, str | None]], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Bind everything and look around once; the robot is not moved."""
+        self.body, self.robot, self.surroundings, self.safety = body, robot, surroundings, safety
+        self.log, self.config = log, config
+        self.limb = Limb(body, safety)
+        self._watch = watch
+        self._phase_changed = phase_changed
+        self._roles: dict[str, str | None] = {}
+        self._phase = ""
+        self._holding: Holding | None = None
+        self._ticks = 0
+        self._bad = 0
+        self._skill = ""
+        self.state = robot.read()
+        self.scene = surroundings.look()
+        self._observe()
+        self._sense()
+
+    # --- what the loop calls ------------------------------------------------------------------------------------
+
+    def hold(self, duration: float, phase: str = "hold") -> None:
+        """Stand still for `duration` [s] (while the planner thinks, or to settle); the filter may still yield."""
+        self._skill = phase
+        for _ in range(round(duration / self.body.period)):
+            self._tick(self._rest(phase), IDLE)
+
+    def run(self, contract: Contract) -> Outcome:
+        """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth."""
+        first = len(self.log.trace)
+        results: list[ActionResult] = []
+        kind: OutcomeClass = "succeeded"
+        for index, action in enumerate(contract.action_sequence):
+            result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
+            results.append(result)
+        self.hold(self.config.settle, "settle")
+        if contract.action_sequence[0].skill == "decline":
+            kind = "declined"
+        bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
+        return self.log.outcome(kind, bad.reason, first, tuple(results))
+
+    # --- one action ---------------------------------------------------------------------------------------------
+
+    def _act(self, action: Action, index: int) -> tuple[ActionResult, OutcomeClass]:
+        started, first = self.state.stamp, len(self.log.trace)
+        self.log.note(started, "action", f"{action.skill} {_words(action)}", index=index)
+        self._roles = _roles(action, self.limb.holding)
+        self._skill = action.skill
+        self._observe()
+        running = Running(self.limb, action.skill, action.params)
+        ending = self._carry_out(running, index)
+        self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
+        kinds: dict[Status, OutcomeClass] = {
+            Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over", Status.RUNNING: "stopped",
+        }  # fmt: skip
+        status = "stopped" if ending.status is Status.RUNNING else ending.status.value
+        Delta = self.log.Delta(first)
+        return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kinds[ending.status]
+
+    def _carry_out(self, running: Running, index: int) -> Ending:
+        """Tick until the story ends or the filter takes over; a stop for a fault ends with status RUNNING."""
+        self._bad = 0
+        while True:
+            nominal = running.nominal(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
+            if isinstance(nominal, Ending):
+                return nominal
+            result = self._tick(nominal, index)
+            if why := self._given_up(result):
+                return why
+
+    def _given_up(self, result: Filtered) -> Ending | None:
+        if result.status < FilterStatus.RELAXED:
+            self._bad = 0
+            return None
+        self._bad += 1
+        if result.status == FilterStatus.RELAXED and self._bad * self.body.period > INFEASIBLE_FOR:
+            return Ending(Status.TAKEN_OVER, f"no safe control for {INFEASIBLE_FOR * 1e3:.0f} ms: {result.explain()}")
+        if result.status > FilterStatus.RELAXED and self._bad * self.body.period > BROKEN_FOR:
+            return Ending(Status.RUNNING, f"filter {FilterStatus(result.status).name}: {result.explain()}")
+        return None
+
+    # --- one tick -----------------------------------------------------------------------------------------------
+
+    def _tick(self, nominal: Nominal, action: int) -> Filtered:
+        if nominal.phase != self._phase:
+            self._enter(nominal)
+        if nominal.holding is not self._holding:
+            self._take(nominal.holding)
+        now = self.state.stamp
+        result = self.safety.filter(self.state, nominal.u, now)
+        if not self.config.guard:
+            result = result.unfiltered()
+        self.robot.write(Command(result.u, nominal.opening, nominal.force))
+        self.log.tick(now, self.state, nominal.u, result, action, nominal.phase)
+        if self._watch and self._ticks % self.config.watch_every == 0:
+            self._watch(Moment(self.state, self.scene, nominal, result, action, self._skill))
+        self.surroundings.advance()
+        self._ticks += 1
+        self._sense()
+        return result
+
+    def _sense(self) -> None:
+        self.state = self.robot.read()
+        if self._ticks % self.config.look_every == 0:
+            self.scene = self.surroundings.look()
+            self.log.scene(self.scene)
+            self._observe()
+        self.limb.sense(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
+
+    def _rest(self, phase: str) -> Nominal:
+        return next(self.limb.stay(phase, 1.0))
+
+    def _enter(self, nominal: Nominal) -> None:
+        """A new phase: its contact permits replace the old ones."""
+        self._phase = nominal.phase
+        contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in nominal.touches]
+        self.log.call(self.state.stamp, "permit", permits=contacts)
+        self.safety.permit(contacts)
+        self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
+        if self._phase_changed:
+            self._phase_changed(nominal.phase, {**self._roles, "held": nominal.holding.name if nominal.holding else None})
+
+    def _take(self, holding: Holding | None) -> None:
+        """Attach what was grasped as part of the body, at the pose perceived at the grasp; or detach it."""
+        self._holding = holding
+        if holding is None:
+            self.log.call(self.state.stamp, "detach")
+            self.safety.detach()
+        else:
+            thing, tool = self.scene.find(holding.name), self.safety.tool(self.state.q)
+            spheres = cover(thing, tool.position, tool.rotation)
+            self.log.call(self.state.stamp, "attach", spheres=spheres, error=thing.error)
+            self.safety.attach(spheres, thing.error)
+        self._observe()
+
+    def _observe(self) -> None:
+        """Hand the perceived scene to the filter; what this action is about is known to φ."""
+        held = self._holding.name if self._holding else None
+        supports = {thing.name for thing in self.scene.objects if thing.role == "support"}
+        known = supports | {name for name in self._roles.values() if name}
+        obstacles = from_scene(self.scene, known=known, held=held)
+        self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=self.scene.stamp)
+        self.safety.observe(obstacles, self.scene.stamp)
+
+
+def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:
+    """What the action is about: its target and its destination, by name."""
+    params = action.params
+    target = params.get("object") or params.get("target") or (holding.name if holding else None)
+    destination = params.get("destination")
+    return {"target": str(target) if target else None, "destination": str(destination) if destination else None}
+
+
+def _words(action: Action) -> str:
+    return ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items())
+
+
+def _not_run(action: Action) -> ActionResult:
+    return ActionResult(action.skill, "not_run", "an earlier action did not succeed", 0.0, 0.0, 0.0)

@@ -1,0 +1,69 @@
+"""The flight log: one place where the control loop writes; it feeds the trace in memory and the recorder on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scene
+from dualbrain.runtime.recorder import Recorder
+from dualbrain.runtime.trace import DEAD_BAND, EventKind, Trace
+from dualbrain.safety.filter import Filtered
+
+Array = NDArray[np.float64]
+
+
+class FlightLog:
+    """Trace and recorder behind one door; the recorder may be absent (tests, sweeps)."""
+
+    def __init__(self, trace: Trace, recorder: Recorder | None = None) -> None:
+        """Bind the trace and, if given, the recorder."""
+        self.trace, self.recorder = trace, recorder
+
+    def tick(self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str) -> None:
+        """Log one control tick."""
+        row = self.trace.append(now, state, u_nom, result, action=action, phase=phase)
+        if self.recorder:
+            self.recorder.tick(row)
+
+    def call(self, t: float, name: str, **arguments: Any) -> None:
+        """Log a call that changes the filter's tables, so that a replay can repeat it."""
+        if self.recorder:
+            self.recorder.call(t, name, **arguments)
+
+    def note(self, t: float, kind: EventKind, text: str, **data: Any) -> None:
+        """Log an event for people."""
+        event = self.trace.note(t, kind, text, **data)
+        if self.recorder:
+            self.recorder.event(event)
+
+    def scene(self, scene: Scene) -> None:
+        """Log a perceived scene."""
+        if self.recorder:
+            self.recorder.scene(scene)
+
+    def attempt(self, t: float, attempt: Attempt) -> None:
+        """Log a planner's shot."""
+        if self.recorder:
+            self.recorder.attempt(t, attempt)
+
+    def Delta(self, first: int) -> float:
+        """Mean δ_t over the ticks from index `first` on; 0 without ticks (paper 4.4)."""
+        delta = self.trace["delta"][first:]
+        return float(np.mean(delta)) if len(delta) else 0.0
+
+    def outcome(self, kind: OutcomeClass, reason: str, first: int, actions: tuple[ActionResult, ...]) -> Outcome:
+        """The outcome of the segment that began at tick `first`; only ticks of its actions count (design 4)."""
+        chosen = np.flatnonzero(self.trace["action"][first:] >= 0) + first
+        if kind == "declined" or not len(chosen):
+            return Outcome(kind, reason, actions=actions)
+        delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
+        return Outcome(
+            kind, reason,
+            Delta=float(delta.mean()), Delta_sum=float(delta.sum()), delta_peak=float(delta.max()),
+            intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()),
+            duration=float(t[-1] - t[0]), actions=actions,
+        )  # fmt: skip

@@ -1,0 +1,64 @@
+"""Envelope rules that need the scene and the body: what no schema can say (design 3, third stage)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.records import Scene
+from dualbrain.skills.geometry import width
+from dualbrain.skills.grasp import grasp_goal
+from dualbrain.skills.limb import Limb
+
+FINGER_ROOM = 0.010
+"""The fingers must be open at least this much wider than the thing they go around [m]."""
+
+Rule = Callable[[Contract], Rejected | None]
+
+
+def scene_rules(scene: Scene, limb: Limb) -> tuple[Rule, ...]:
+    """The rules that hold for `scene` and the arm as it stands: hand busy or empty, opening, reach."""
+    return (_decline_alone, lambda contract: _hand_order(contract, limb), lambda contract: _grasps_fit(contract, scene, limb))
+
+
+def _decline_alone(contract: Contract) -> Rejected | None:
+    skills = [action.skill for action in contract.action_sequence]
+    if "decline" in skills and len(skills) > 1:
+        return Rejected("envelope", "/action_sequence", skills, ["decline"], "decline stands alone: it refuses the whole instruction")
+    return None
+
+
+def _hand_order(contract: Contract, limb: Limb) -> Rejected | None:
+    """A grasp needs an empty hand, a place a full one."""
+    full = limb.holding is not None
+    for index, action in enumerate(contract.action_sequence):
+        pointer = f"/action_sequence/{index}/skill"
+        if action.skill == "grasp":
+            if full:
+                return Rejected("envelope", pointer, "grasp", ["place", "release"], "the hand is full: place or release first")
+            full = True
+        elif action.skill == "place":
+            if not full:
+                return Rejected("envelope", pointer, "place", ["grasp"], "nothing is held: grasp something first")
+            full = False
+        elif action.skill == "release":
+            full = False
+    return None
+
+
+def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None:
+    """The fingers fit around each thing to grasp, and the arm reaches it."""
+    for index, action in enumerate(contract.action_sequence):
+        if action.skill != "grasp":
+            continue
+        params, pointer = action.params, f"/action_sequence/{index}/params"
+        thing = scene.find(str(params["object"]))
+        needed = width(thing, str(params["finger_axis"])) + FINGER_ROOM
+        widest = 2.0 * limb.body.gripper.opening.value
+        if float(params["opening"]) < needed:
+            hint = f"open wider than {thing.name} ({needed * 1000:.0f} mm with room)" if needed <= widest else "it is too wide for this hand"
+            return Rejected("envelope", f"{pointer}/opening", params["opening"], {"minimum": round(needed, 4), "maximum": widest}, hint)
+        if grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])) is None:
+            return Rejected("envelope", f"{pointer}/object", thing.name, "things within reach", f"{thing.name} is out of reach for this grasp")
+    return None

@@ -1,0 +1,35 @@
+"""The vocabulary of a robot by name, and the names that a scene offers to contracts."""
+
+from __future__ import annotations
+
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.embodiment.body import load_body
+from dualbrain.records import Scene
+from dualbrain.skills.vocabulary import arm_registry
+from dualbrain.world.scene_spec import SceneSpec
+
+PLANNER = "planner"
+"""The principal that every planner acts as."""
+
+
+def vocabulary(robot: str) -> Registry:
+    """The registry of skills of `robot`; raises `UnknownName` with the known robots."""
+    return arm_registry(load_body(robot))
+
+
+def grants(registry: Registry) -> dict[str, frozenset[str]]:
+    """Who may call what: the planner may call every registered skill."""
+    return {PLANNER: frozenset(skill.name for skill in registry.skills)}
+
+
+def scene_names(scene: Scene) -> SceneNames:
+    """The names that a contract may use in `scene`."""
+    return SceneNames(scene.graspable, scene.receptive, scene.version)
+
+
+def spec_names(spec: SceneSpec) -> SceneNames:
+    """The names that a contract may use in a scene that is not running."""
+    containers = tuple(thing.name for thing in spec.things if thing.role == "container")
+    graspable = tuple(thing.name for thing in spec.things if thing.role == "object")
+    return SceneNames(graspable, (*containers, *(place.name for place in spec.places)))

@@ -1,0 +1,43 @@
+"""home: rise clear of the table and return to the resting posture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.contracts.skill_spec import ContactPermit, SkillSpec
+from dualbrain.embodiment.body import Body
+from dualbrain.skills import parameters
+from dualbrain.skills.limb import Goal, Limb, lifted
+from dualbrain.skills.skill import Ending, Status, Story
+
+SAFE_HEIGHT = 0.30
+"""Tool height from which the posture is changed [m]."""
+FULL_SPEED = 0.5
+"""Share of the joint velocity limits at the largest allowed tool speed."""
+
+
+def spec(body: Body) -> SkillSpec:
+    """The skill's vocabulary entry."""
+    touch = parameters.CONTACT_SPEED
+    return SkillSpec(
+        "home",
+        "return to the resting posture, keeping what is held",
+        (parameters.speed(body),),
+        (ContactPermit("rise", "held", "support", touch),),
+    )
+
+
+def story(limb: Limb, *, speed: float) -> Story:
+    """Tell the return: rise, then move in joint space."""
+    support = limb.support
+    limb.begin(spec(limb.body), support=support.name if support else None)
+    tool = limb.senses.tool
+    height = limb.floor + SAFE_HEIGHT
+    if tool.position[2] < height:
+        up = lifted(Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q), height)
+        if why := (yield from limb.reach(limb.shifted(up, up.position), "rise", speed)):
+            return why
+    share = FULL_SPEED * speed / limb.body.tool_speed.value
+    if why := (yield from limb.joints(np.array(limb.body.home), "return", share)):
+        return why
+    return Ending(Status.DONE, "at home")

@@ -1,0 +1,232 @@
+"""The limb: what every skill can do with an arm, each as a short story of nominal controls.
+
+A story yields one `Nominal` a tick and returns None when it went well or the `Ending` that stops the skill.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.contracts.skill_spec import SkillSpec
+from dualbrain.embodiment.body import Body
+from dualbrain.errors import InvalidSetup
+from dualbrain.linalg import rotation_error
+from dualbrain.records import SceneObject
+from dualbrain.skills.inverse_kinematics import InverseKinematics
+from dualbrain.skills.person import may_be_over
+from dualbrain.skills.progress import STANDSTILL, Progress
+from dualbrain.skills.resolved_rate import ResolvedRate
+from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status, Touch
+
+Array = NDArray[np.float64]
+Part = Generator[Nominal, None, Ending | None]
+
+SETTLED = 0.15
+"""How long [s] a grip must stand still and press with both fingers to count as a grasp."""
+GRIP_FORCE_MIN = 0.5
+"""Force on each finger that counts as contact [N] (two-finger test)."""
+RETRIES = 2
+"""How often a blocked journey is tried again over the top."""
+RETRY_AFTER = 1.0
+"""No progress for this long [s] makes a journey try another way, while one is left."""
+RISE, CEILING = 0.18, 0.50
+"""How far a blocked tool rises, and to what height at most [m]."""
+PERSON_PATIENCE = 20.0
+"""How long [s] a skill waits for a person before it says so and fails."""
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A tool pose to reach: position (3,) [m], rotation (3, 3), and the joint posture (n,) [rad] that suits it."""
+
+    position: Array
+    rotation: Array
+    posture: Array
+
+
+class Limb:
+    """One arm with its gripper, as the skills move it. State: φ's memory, the grip, and the current senses."""
+
+    def __init__(self, body: Body, motion: Motion) -> None:
+        """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
+        self.body = body
+        self.kinematics = InverseKinematics(body, motion.tool)
+        self.holding: Holding | None = None
+        self.opening = body.gripper.opening.value
+        self.force = body.gripper.force_min.value
+        self._phi = ResolvedRate(body, motion)
+        self._motion = motion
+        self._senses: Senses | None = None
+        self._touches: dict[str, tuple[Touch, ...]] = {}
+
+    # --- senses -------------------------------------------------------------------------------------------------
+
+    def sense(self, senses: Senses) -> None:
+        """Take in this tick's senses."""
+        self._senses = senses
+
+    @property
+    def senses(self) -> Senses:
+        """This tick's senses."""
+        if self._senses is None:
+            raise InvalidSetup("a limb without senses", got=None, allowed="one call of `sense` before the first tick")
+        return self._senses
+
+    def see(self, name: str) -> SceneObject:
+        """The thing called `name` as perceived now."""
+        return self.senses.scene.find(name)
+
+    def begin(self, spec: SkillSpec, **others: str | None) -> None:
+        """Start a skill: its declared contact permits hold by phase, for the named target, destination and support."""
+        touches: dict[str, list[Touch]] = {}
+        for permit in spec.permits:
+            obstacle = others.get(permit.other)
+            if obstacle is not None:
+                touches.setdefault(permit.phase, []).append(Touch(permit.robot_part, obstacle, permit.speed))
+        self._touches = {phase: tuple(pairs) for phase, pairs in touches.items()}
+
+    @property
+    def support(self) -> SceneObject | None:
+        """The surface that things stand on, if one is perceived."""
+        return next((thing for thing in self.senses.scene.objects if thing.role == "support"), None)
+
+    @property
+    def floor(self) -> float:
+        """Height of the support surface [m]."""
+        return self.support.pose.position[2] if self.support else 0.0
+
+    # --- parts of a story ---------------------------------------------------------------------------------------
+
+    def reach(
+        self, goal: Goal, phase: str, speed: float, *, stop: bool = True, patience: float = STANDSTILL,
+        follow: Callable[[], Goal] | None = None,
+    ) -> Part:  # fmt: skip
+        """Move the tool to `goal`; with `stop` come to rest there, else pass by. `follow` renews the goal every tick."""
+        near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
+        progress = Progress(self.senses.now, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
+        while True:
+            goal = follow() if follow else goal
+            tool, state, now = self.senses.tool, self.senses.state, self.senses.now
+            distance = self._distance(goal)
+            turn = float(np.linalg.norm(rotation_error(tool.rotation, goal.rotation)))
+            if distance < near and turn < turned:
+                return None
+            if why := progress.stuck(now, distance + 0.1 * turn):
+                return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {distance * 100:.1f} cm from the goal")
+            u = self._phi.toward(
+                state, tool, goal.position, goal.rotation, speed, goal.posture, now, stop=stop
+            )  # fmt: skip
+            yield self._nominal(u, phase)
+
+    def travel(self, points: Sequence[Goal], phase: str, speed: float) -> Part:
+        """Pass through `points` to the last one; when blocked, rise, cross above and come down, at most twice."""
+        for attempt in range(RETRIES + 1):
+            patience = STANDSTILL if attempt == RETRIES else RETRY_AFTER
+            why = yield from self._pass_through(points, phase, speed, patience)
+            if why is None or attempt == RETRIES:
+                return why
+            yield from self._rise(speed)
+            points = [lifted(points[-1], max(float(self.senses.tool.position[2]), points[-1].position[2])), points[-1]]
+        return None
+
+    def _pass_through(self, points: Sequence[Goal], phase: str, speed: float, patience: float) -> Part:
+        for index, point in enumerate(points):
+            last = index == len(points) - 1
+            if why := (yield from self.reach(point, phase, speed, stop=last, patience=patience)):
+                return why
+        return None
+
+    def _rise(self, speed: float) -> Part:
+        """Go straight up by 18 cm, as far as the ceiling of the workspace; being blocked on the way is no failure."""
+        tool = self.senses.tool
+        height = min(float(tool.position[2]) + RISE, CEILING)
+        up = self.shifted(Goal(tool.position.copy(), tool.rotation.copy(), self.senses.state.q), np.array([*tool.position[:2], height]))
+        yield from self.reach(up, "rise", speed, patience=RETRY_AFTER)
+        return None
+
+    def joints(self, goal: Array, phase: str, share: float) -> Part:
+        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits."""
+        progress = Progress(self.senses.now, limit=30.0)
+        while True:
+            state, now = self.senses.state, self.senses.now
+            error = float(np.max(np.abs(goal - state.q)))
+            if error < 0.01:
+                return None
+            if why := progress.stuck(now, error):
+                return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {error:.2f} rad from the goal")
+            yield self._nominal(self._phi.toward_joints(state, goal, share, now), phase)
+
+    def stay(self, phase: str, duration: float) -> Part:
+        """Rest for `duration` [s]."""
+        end = self.senses.now + duration
+        while self.senses.now < end:
+            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), phase)
+        return None
+
+    def close(self, force: float) -> Part:
+        """Close the fingers at `force` [N] until both press and stand still; fails if nothing is between them."""
+        self.opening, self.force = 0.0, force
+        start = steady = self.senses.now
+        before = self.senses.state.opening
+        while self.senses.now - start < 2.0:
+            state, now = self.senses.state, self.senses.now
+            if not self.grips() or abs(state.opening - before) > 2e-4:
+                steady, before = now, state.opening
+            if now - steady > SETTLED:
+                return None
+            yield self._nominal(self._phi.rest(state, now), "close")
+        return Ending(Status.FAILED, "close: the two-finger test felt nothing between the fingers")
+
+    def open(self, opening: float) -> Part:
+        """Open the fingers to `opening` per finger [m] and let go of what was held."""
+        self.opening, self.holding = opening, None
+        self.force = self.body.gripper.force_min.value
+        start = self.senses.now
+        while self.senses.now - start < 1.0 and abs(self.senses.state.opening - opening) > 2e-3:
+            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), "open")
+        yield from self.stay("open", 0.2)
+        return None
+
+    def wait_for_people(self, phase: str, spot: Array, horizon: float, *, reach: float = 0.22) -> Part:
+        """Rest until no person's predicted sweep over `horizon` [s] comes within `reach` [m] of above or beside `spot`."""
+        start = self.senses.now
+        while may_be_over(self.senses.scene, spot, horizon, reach, self.senses.now):
+            if self.senses.now - start > PERSON_PATIENCE:
+                return Ending(Status.FAILED, f"{phase}: a person stayed over the place for {PERSON_PATIENCE:.0f} s")
+            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), "wait")
+        return None
+
+    # --- facts --------------------------------------------------------------------------------------------------
+
+    def grips(self) -> bool:
+        """Whether both fingers press on something (two-finger test)."""
+        return min(self.senses.state.finger_forces) >= GRIP_FORCE_MIN
+
+    def goal(self, position: Array, rotations: list[Array]) -> Goal | None:
+        """The most comfortable way to put the tool at `position` with one of `rotations`; None when out of reach."""
+        best = self.kinematics.best(position, rotations, self.senses.state.q)
+        return None if best is None else Goal(position, *best)
+
+    def shifted(self, goal: Goal, position: Array) -> Goal:
+        """`goal` moved to another position with the same rotation, its posture solved anew where possible."""
+        q = self.kinematics.solve(position, goal.rotation, (goal.posture,))
+        return Goal(position, goal.rotation, goal.posture if q is None else q)
+
+    def take_hold(self, thing: SceneObject, below_tool: float) -> None:
+        """Remember that `thing` is between the fingers, its lowest point `below_tool` [m] under the tool."""
+        self.holding = Holding(thing.name, below_tool)
+
+    def _distance(self, goal: Goal) -> float:
+        return float(np.linalg.norm(goal.position - self.senses.tool.position))
+
+    def _nominal(self, u: Array, phase: str) -> Nominal:
+        return Nominal(u, self.opening, self.force, phase, self._touches.get(phase, ()), self.holding)
+
+
+def lifted(goal: Goal, height: float) -> Goal:
+    """`goal` raised to tool height `height` [m]."""
+    return replace(goal, position=np.array([goal.position[0], goal.position[1], height]))

@@ -1,0 +1,68 @@
+"""move_to: bring the tool (and what it holds) above a named thing or place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
+from dualbrain.embodiment.body import Body
+from dualbrain.skills import geometry, parameters
+from dualbrain.skills.limb import Goal, Limb, lifted
+from dualbrain.skills.place import spot
+from dualbrain.skills.route import bend
+from dualbrain.skills.skill import Ending, Status, Story
+
+OVER = 0.03
+"""Room between the lowest carried point and the top of the thing below it [m]."""
+
+
+def spec(body: Body) -> SkillSpec:
+    """The skill's vocabulary entry; what is held may still leave its support."""
+    return SkillSpec(
+        "move_to",
+        "bring the hand above an object, container or place, without touching it",
+        (
+            Name("target", "any", "what to go above"),
+            parameters.speed(body),
+            parameters.clearance(),
+            parameters.route(),
+            parameters.wait(),
+        ),
+        (ContactPermit("rise", "held", "support", parameters.CONTACT_SPEED),),
+    )
+
+
+def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str, wait: str) -> Story:
+    """Tell the journey: wait, rise, cross."""
+    support = limb.support
+    limb.begin(spec(limb.body), support=support.name if support else None)
+    scene = limb.senses.scene
+    if target in scene.graspable:
+        thing = scene.find(target)
+        point = np.array([*thing.pose.position[:2], geometry.top(thing)])
+    else:
+        point, _, _ = spot(scene, target)
+    below = limb.holding.below_tool if limb.holding else limb.body.gripper.pad_below_tool
+    height = max(limb.floor + clearance, float(point[2]) + OVER) + below
+    tool = limb.senses.tool
+    end = limb.goal(np.array([point[0], point[1], height]), _facings(tool.rotation, tool.position, point))
+    if end is None:
+        return Ending(Status.FAILED, f"above {target} is out of reach")
+    if wait == "until_clear":
+        if why := (yield from limb.wait_for_people("approach", (tool.position + point) / 2, 4.0, reach=0.35)):
+            return why
+    here = Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q)
+    points = [lifted(here, height)] if tool.position[2] < height - 0.01 else []
+    via = bend(tool.position, end.position, route)
+    if via is not None:
+        points.append(limb.shifted(end, via))
+    if why := (yield from limb.travel([*points, end], "approach", speed)):
+        return why
+    return Ending(Status.DONE, f"above {target}")
+
+
+def _facings(rotation: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """The rotation as it is, and turned with the arm's swing."""
+    swing = float(np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0]))
+    c, s = np.cos(swing), np.sin(swing)
+    return [rotation.copy(), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation]

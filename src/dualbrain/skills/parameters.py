@@ -1,0 +1,50 @@
+"""The parameters that motion skills share, bounded by the body and saying where each bound comes from (design 3)."""
+
+from __future__ import annotations
+
+from dualbrain.contracts.skill_spec import Choice, Number
+from dualbrain.embodiment.body import Body
+
+CONTACT_SPEED = 0.05
+"""How fast the fingers or a held thing may approach what they are allowed to touch [m/s]."""
+
+
+def speed(body: Body) -> Number:
+    """Tool speed on the way [m/s]."""
+    return Number(
+        "speed", "m/s", 0.05, body.tool_speed.value, "slower wastes time without safety", body.tool_speed.provenance,
+        "tool speed on the way",
+    )  # fmt: skip
+
+
+def clearance() -> Number:
+    """Height of the lowest carried point (or of the finger tips) above the support while travelling [m]."""
+    return Number(
+        "clearance", "m", 0.03, 0.35, "site policy: nothing is dragged", "reach of the arm over the table",
+        "height of the lowest carried point above the support on the way",
+    )  # fmt: skip
+
+
+def route() -> Choice:
+    """Which way round to travel."""
+    return Choice("route", ("direct", "near_base", "left", "right"), "way round: straight, close to the base, or bent aside")
+
+
+def wait() -> Choice:
+    """Whether to start only when people are clear of the path."""
+    return Choice("wait", ("none", "until_clear"), "until_clear: start only when no person crosses the path")
+
+
+def force(body: Body) -> Number:
+    """Grip force [N]."""
+    low, high = body.gripper.force_min, body.gripper.force
+    return Number("force", "N", low.value, high.value, low.provenance, high.provenance, "grip force")
+
+
+def opening(body: Body) -> Number:
+    """Distance between the fingers before the grasp [m]."""
+    limit = body.gripper.opening
+    return Number(
+        "opening", "m", 0.02, 2.0 * limit.value, "narrower than any graspable thing", f"twice {limit.provenance}",
+        "distance between the fingers before the grasp",
+    )  # fmt: skip

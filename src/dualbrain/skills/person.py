@@ -1,0 +1,38 @@
+"""Where a person may be soon: the precondition for putting an arm below or beside someone's sweep (design 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.linalg import matrix
+from dualbrain.records import Capsule, Scene, SceneObject
+
+Array = NDArray[np.float64]
+
+
+def may_be_over(scene: Scene, spot: Array, horizon: float, reach: float, now: float) -> bool:
+    """Whether any person's sweep over the next `horizon` [s] comes within `reach` [m] of `spot` (3,), seen from above."""
+    return any(_sweeps(thing, spot, horizon, reach, now) for thing in scene.objects if thing.role == "person")
+
+
+def _sweeps(person: SceneObject, spot: Array, horizon: float, reach: float, now: float) -> bool:
+    """Distance in the plane from `spot` to the segment of the person's axis, swept along its velocity."""
+    velocity = np.asarray(person.velocity)
+    start = np.asarray(person.pose.position) + velocity * (now - person.stamp)
+    radius, half = _axis(person)
+    slack = reach + radius + person.error + person.velocity_error * horizon
+    ticks = max(2, int(np.ceil(horizon * float(np.linalg.norm(velocity[:2])) / 0.05)) + 1)
+    for share in np.linspace(0.0, horizon, ticks):
+        centre = (start + share * velocity)[:2]
+        along = float(np.clip((spot[:2] - centre) @ half / (half @ half + 1e-12), -1.0, 1.0))
+        if float(np.linalg.norm(spot[:2] - centre - along * half)) < slack:
+            return True
+    return False
+
+
+def _axis(person: SceneObject) -> tuple[float, Array]:
+    """Radius [m] and half axis (2,) [m] in the plane."""
+    if isinstance(person.shape, Capsule):
+        return person.shape.radius, (matrix(person.pose.quaternion)[:, 2] * person.shape.half_length)[:2]
+    return 0.3, np.zeros(2)

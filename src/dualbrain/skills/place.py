@@ -1,0 +1,115 @@
+"""place: carry what is held to a container or place by the wanted route, lower it, let go, retreat."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
+from dualbrain.embodiment.body import Body
+from dualbrain.records import Bowl, Scene
+from dualbrain.skills import geometry, parameters
+from dualbrain.skills.limb import Goal, Limb, lifted
+from dualbrain.skills.route import bend
+from dualbrain.skills.skill import Ending, Status, Story
+
+Array = NDArray[np.float64]
+
+OVER_RIM = 0.012
+"""Room between what is held and the rim when letting go [m]."""
+TOUCH_DOWN = 0.004
+"""Height above a support at which a thing is let go [m]."""
+
+
+def spec(body: Body) -> SkillSpec:
+    """The skill's vocabulary entry and the contacts it needs."""
+    touch = parameters.CONTACT_SPEED
+    return SkillSpec(
+        "place",
+        "carry what is held to a container or place, put it there and let go",
+        (
+            Name("destination", "receptive", "where to put it"),
+            parameters.speed(body),
+            parameters.clearance(),
+            parameters.route(),
+            parameters.wait(),
+        ),
+        (
+            ContactPermit("rise", "held", "support", touch),
+            ContactPermit("lower", "held", "destination", touch),
+            ContactPermit("lower", "held", "support", touch),
+            ContactPermit("open", "held", "destination", touch),
+            ContactPermit("open", "held", "support", touch),
+            ContactPermit("open", "fingers", "target", touch),
+            ContactPermit("retreat", "fingers", "target", touch),
+        ),
+    )
+
+
+def spot(scene: Scene, destination: str) -> tuple[Array, float, float]:
+    """Where `destination` receives things: position (3,) on its receiving height, radius of the spot, drop height [m]."""
+    for place in scene.places:
+        if place.name == destination:
+            return np.asarray(place.position), 0.05, TOUCH_DOWN
+    thing = scene.find(destination)
+    radius = thing.shape.radius if isinstance(thing.shape, Bowl) else 0.05
+    return np.array([*thing.pose.position[:2], geometry.top(thing)]), radius, OVER_RIM
+
+
+def story(limb: Limb, *, destination: str, speed: float, clearance: float, route: str, wait: str) -> Story:
+    """Tell the placing: wait, carry, lower, open, retreat, look."""
+    held = limb.holding
+    if held is None:
+        return Ending(Status.FAILED, "nothing is held")
+    support = limb.support
+    limb.begin(spec(limb.body), target=held.name, destination=destination, support=support.name if support else None)
+    point, radius, room = spot(limb.senses.scene, destination)
+    down = _release_goal(limb, point + np.array([0.0, 0.0, room + held.below_tool]))
+    if down is None:
+        return Ending(Status.FAILED, f"{destination} is out of reach")
+    if wait == "until_clear":
+        if why := (yield from limb.wait_for_people("carry", (limb.senses.tool.position + point) / 2, 4.0, reach=0.35)):
+            return why
+    height = max(limb.floor + clearance + held.below_tool, float(down.position[2]))
+    if why := (yield from limb.travel(_way(limb, lifted(down, height), route), "carry", speed)):
+        return why
+    if why := (yield from limb.wait_for_people("lower", down.position, 1.5 + 2.0 * (height - down.position[2]) / speed)):
+        return why
+    if why := (yield from limb.reach(down, "lower", min(speed, 0.15))):
+        return why
+    if not limb.grips():
+        limb.holding = None
+        return Ending(Status.FAILED, f"carry: {held.name} was lost on the way")
+    yield from limb.open(limb.body.gripper.opening.value)
+    away = lifted(down, max(height, float(down.position[2]) + 0.06))
+    if why := (yield from limb.reach(limb.shifted(away, away.position), "retreat", speed)):
+        return why
+    return _look(limb, held.name, destination, point, radius)
+
+
+def _release_goal(limb: Limb, position: Array) -> Goal | None:
+    """Let go in the rotation held now, or turned with the arm's own swing when that lies more comfortably."""
+    here = limb.senses.tool
+    swing = float(np.arctan2(position[1], position[0]) - np.arctan2(here.position[1], here.position[0]))
+    c, s = np.cos(swing), np.sin(swing)
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ here.rotation
+    return limb.goal(position, [here.rotation.copy(), turned])
+
+
+def _way(limb: Limb, end: Goal, route: str) -> list[Goal]:
+    """The points to pass: straight up where needed, the route's bend, then above the destination."""
+    tool = limb.senses.tool
+    here = Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q)
+    points = [lifted(here, float(end.position[2]))] if tool.position[2] < end.position[2] - 0.01 else []
+    via = bend(tool.position, end.position, route)
+    if via is not None:
+        points.append(limb.shifted(end, via))
+    return [*points, end]
+
+
+def _look(limb: Limb, name: str, destination: str, point: Array, radius: float) -> Ending:
+    """The robot's own verdict: is the thing perceived where it was put?"""
+    away = float(np.linalg.norm(np.asarray(limb.see(name).pose.position)[:2] - point[:2]))
+    if away > radius + limb.see(name).error:
+        return Ending(Status.FAILED, f"{name} is {away * 100:.0f} cm from {destination} after letting go")
+    return Ending(Status.DONE, f"{name} is at {destination}")

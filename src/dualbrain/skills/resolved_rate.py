@@ -1,0 +1,111 @@
+"""φ by resolved rate: a tool pose becomes a joint velocity that φ itself can defend (paper 4.2, design 4).
+
+u_wish = J⁺(ν − J u₀) + u₀ with damping, u₀ = k₀ (q_posture − q); ν is a twist of limited speed and acceleration that
+brakes in time. Then u_nom = the projection of u_wish onto the rows that φ knows and the box around its *own* previous
+nominal. φ never starts from the measured velocity: a filter that slows the arm must not make the wish look smaller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.linalg import rotation_error
+from dualbrain.skills.skill import Motion, ToolState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Shape of the tool's motion.
+
+    `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the twist
+    may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint, `damping` [m] keeps the
+    inverse finite at singular poses, `headroom` is the share of the joint velocity limit that φ allows itself.
+    """
+
+    position: float = 5.0
+    rotation: float = 4.0
+    linear: float = 1.0
+    angular: float = 6.0
+    turn: float = 1.2
+    posture: float = 1.0
+    damping: float = 0.02
+    headroom: float = 0.95
+
+
+class ResolvedRate:
+    """φ's memory between ticks: the twist it is at, and the nominal control it last gave."""
+
+    def __init__(self, body: Body, motion: Motion, gains: Gains | None = None) -> None:
+        """Bind to a body and to the local layer's kinematics and projection."""
+        self._motion = motion
+        self._gains = gains or Gains()
+        self._dt = body.period
+        self._u_max = self._gains.headroom * np.array([joint.velocity.value for joint in body.joints])
+        self._brake = 0.6 * np.array([joint.acceleration.value for joint in body.joints])
+        self._ridge = self._gains.damping**2 * np.eye(6)
+        self._twist = np.zeros(6)
+        self._u_nom = np.zeros(body.n)
+
+    def toward(
+        self, state: RobotState, tool: ToolState, position: Array, rotation: Array, speed: float, posture: Array,
+        now: float, *, stop: bool = True,
+    ) -> Array:  # fmt: skip
+        """u_nom (n,) [rad/s] that carries the tool toward a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
+        self._lead_twist(tool, position, rotation, speed, stop=stop)
+        return self._resolve(state, tool, posture, now)
+
+    def toward_joints(self, state: RobotState, goal: Array, share: float, now: float) -> Array:
+        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad] at up to `share` of the velocity limits."""
+        error = goal - state.q
+        remaining = float(np.max(np.abs(error) / self._u_max))
+        pace = min(share, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
+        self._twist[:] = 0.0
+        return self._project(state, error * (pace / remaining) if remaining > 1e-6 else error, now)
+
+    def rest(self, state: RobotState, now: float) -> Array:
+        """u_nom (n,) [rad/s] that comes to a standstill."""
+        self._twist[:] = 0.0
+        return self._project(state, np.zeros_like(self._u_nom), now)
+
+    def _lead_twist(self, tool: ToolState, position: Array, rotation: Array, speed: float, *, stop: bool) -> None:
+        """Let the twist follow the wanted one within the acceleration bounds."""
+        gains = self._gains
+        error = position - tool.position
+        distance = sqrt(float(error @ error))
+        fast = min(speed, gains.position * distance)
+        if stop:
+            fast = min(fast, sqrt(1.2 * gains.linear * distance))
+        turn = gains.rotation * rotation_error(tool.rotation, rotation)
+        turning = sqrt(float(turn @ turn))
+        if turning > gains.turn:
+            turn *= gains.turn / turning
+        linear = error * (fast / distance) if distance > 1e-9 else error
+        _step_toward(self._twist[:3], linear, gains.linear * self._dt)
+        _step_toward(self._twist[3:], turn, gains.angular * self._dt)
+
+    def _resolve(self, state: RobotState, tool: ToolState, posture: Array, now: float) -> Array:
+        J = tool.jacobian
+        drift = self._gains.posture * (posture - state.q)
+        drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
+        wish = drift + J.T @ np.linalg.solve(J @ J.T + self._ridge, self._twist - J @ drift)
+        excess = float(np.max(np.abs(wish) / self._u_max))
+        return self._project(state, wish / excess if excess > 1.0 else wish, now)
+
+    def _project(self, state: RobotState, wish: Array, now: float) -> Array:
+        self._u_nom = self._motion.project(state, wish, self._u_nom, now)
+        return self._u_nom
+
+
+def _step_toward(value: Array, wanted: Array, step: float) -> None:
+    """Move `value` toward `wanted` by at most `step` in norm, in place."""
+    change = wanted - value
+    size = sqrt(float(change @ change))
+    value += change * (step / size) if size > step else change

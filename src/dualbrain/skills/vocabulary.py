@@ -1,0 +1,46 @@
+"""The skills of an arm: the registry they form, and how an action becomes a running skill."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+
+from dualbrain.contracts.contract import Value
+from dualbrain.contracts.registry import Registry
+from dualbrain.embodiment.body import Body
+from dualbrain.skills import decline, grasp, hold, home, move_to, place, release
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Ending, Nominal, Senses, Story
+
+ARM: Mapping[str, ModuleType] = {
+    "move_to": move_to,
+    "grasp": grasp,
+    "place": place,
+    "release": release,
+    "hold": hold,
+    "home": home,
+    "decline": decline,
+}
+"""One module a skill, each with `spec(body)` and `story(limb, **params)`. To add a skill, write its file and name it here."""
+
+
+def arm_registry(body: Body) -> Registry:
+    """The vocabulary P of an arm, bounded by `body` (paper 3.3)."""
+    return Registry(body.name, tuple(module.spec(body) for module in ARM.values()))
+
+
+class Running:
+    """A skill under way: the map φ of paper 4.2."""
+
+    def __init__(self, limb: Limb, skill: str, params: Mapping[str, Value]) -> None:
+        """Prepare `skill` with its checked parameters; nothing moves before the first `nominal`."""
+        self.limb = limb
+        self._story: Story = ARM[skill].story(limb, **params)
+
+    def nominal(self, senses: Senses) -> Nominal | Ending:
+        """The next tick's intent, or how the skill ended."""
+        self.limb.sense(senses)
+        try:
+            return next(self._story)
+        except StopIteration as over:
+            return over.value

@@ -1,0 +1,26 @@
+"""Which scene a person means: a number, a family with a seed, or a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.world.scene_spec import SceneSpec, load_scene
+from dualbrain.world.scenes import FAMILIES, make_scene
+
+HAZARDS = ("forearm", "tabletop", "tall", "shelf")
+"""Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
+
+
+def open_scene(choice: str) -> SceneSpec:
+    """The scene of `choice`: "7", "shelf:7" or a path to a scene file; raises `InvalidSetup` or `UnknownName`."""
+    if choice.isdecimal():
+        return make_scene(HAZARDS[int(choice) % len(HAZARDS)], int(choice))
+    family, _, seed = choice.partition(":")
+    if family in FAMILIES and (seed.isdecimal() or not seed):
+        return make_scene(family, int(seed or 0))
+    path = Path(choice)
+    if path.suffix == ".json" or path.exists():
+        return load_scene(path)
+    allowed = f"a number, FAMILY:SEED with one of {', '.join(FAMILIES)}, or a scene file (.json)"
+    raise InvalidSetup("scene", got=choice, allowed=allowed)
