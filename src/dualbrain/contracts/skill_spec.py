@@ -8,7 +8,7 @@ import msgspec
 
 
 class Number(msgspec.Struct, frozen=True, tag_field="kind", tag="number"):
-    """A number in `unit` (SI, checked by pint on registration) within [lower, upper]; each bound says where it comes from."""
+    """A number in `unit` (SI, checked by pint) within [lower, upper]; each bound says where it comes from."""
 
     name: str
     unit: str

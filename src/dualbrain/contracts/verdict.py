@@ -18,7 +18,11 @@ class Accepted(msgspec.Struct, frozen=True, tag_field="verdict", tag="accepted")
 
 
 class Rejected(msgspec.Struct, frozen=True, tag_field="verdict", tag="rejected"):
-    """The contract was refused: at `stage`, at JSON `pointer`, because `got` is not among `allowed`; `hint` says how to mend it."""
+    """The contract was refused at `stage`.
+
+    `pointer` (RFC 6901) is the place in the contract, "" the whole of it or the stamp around it; `got` is safe to print
+    and bounded; `allowed` says what may stand there; `hint` says how to mend it.
+    """
 
     stage: Stage
     pointer: str

@@ -1,0 +1,119 @@
+"""How long the whole gate takes, beside pure-Python `jsonschema` on the same published schema and document.
+
+    python benchmarks/gate.py [--json] [--rounds N]
+
+The gate does more (strict parsing from bytes, grants, stamp, building the contract); its peer only validates the parsed
+document. Both run alternately in one process, so a busy machine slows both; each figure is the median over all rounds.
+"""
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
+from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.verdict import Accepted
+
+NAMES = SceneNames(("red_cube", "blue_cube", "cup"), ("bowl", "tray", "shelf_left"))
+SKILL_COUNT, STEP_COUNT = 20, 8
+TARGET_RATIO = 30.0
+
+
+def build_registry() -> Registry:
+    """Twenty skills: eighteen motions of four to six parameters, one with free text, one without parameters."""
+    speed = Number("speed", "m/s", 0.05, 0.4, "site policy", "site policy")
+    clearance = Number("clearance", "m", 0.03, 0.35, "site policy", "reach of the arm")
+    force = Number("force", "N", 1.0, 70.0, "gripper data sheet", "gripper data sheet")
+    approach, route = Choice("approach", ("top", "side", "tilted")), Choice("route", ("direct", "left", "right"))
+    things = Name("object", "graspable"), Name("object", "receptive"), Name("object", "any")
+    motions = tuple(
+        SkillSpec(f"motion_{i:02d}", "", (things[i % 3], speed, clearance, approach, *((force, route)[: i % 3])))
+        for i in range(SKILL_COUNT - 2)
+    )
+    return Registry("panda", (*motions, SkillSpec("decline", "", (Text("reason", 160),)), SkillSpec("home", "")))
+
+
+def build_document(registry: Registry) -> dict[str, object]:
+    """Eight steps, the last ones from the end of the registry."""
+    values = {"speed": 0.2, "clearance": 0.12, "approach": "top", "force": 25, "route": "left"}
+    names = {"graspable": "red_cube", "receptive": "bowl", "any": "cup"}
+    steps = [
+        {
+            "skill": skill.name,
+            "params": {p.name: names[p.of] if isinstance(p, Name) else values[p.name] for p in skill.parameters},
+        }
+        for skill in registry.skills[SKILL_COUNT - 2 - STEP_COUNT : SKILL_COUNT - 2]
+    ]
+    context = {"robot": registry.robot, "registry": registry.hash}
+    return {"id": "c-0001", "context": context, "action_sequence": steps}
+
+
+def microseconds(work: Callable[[], object], repeats: int) -> float:
+    """Mean time of one call over `repeats` calls [µs]."""
+    start = time.perf_counter()
+    for _ in range(repeats):
+        work()
+    return (time.perf_counter() - start) / repeats * 1e6
+
+
+def measure(rounds: int) -> dict[str, object]:
+    """Medians of gate and peer over `rounds` alternating rounds, and their ratio."""
+    import jsonschema  # noqa: PLC0415 (the peer, only for this figure)
+
+    registry = build_registry()
+    document = build_document(registry)
+    data = json.dumps(document, separators=(",", ":")).encode()
+    gate = Gate(registry, {"planner": frozenset(registry.by_name)})
+    peer = jsonschema.Draft7Validator(registry.validation_schema(NAMES))
+    stamps = iter(range(1, 10**9))
+
+    def full_gate() -> object:
+        stamp = Stamp(next(stamps), 0.0, 5.0, "planner", 1)
+        return gate.check(data, names=NAMES, principal="planner", now=1.0, stamp=stamp)
+
+    def whole_peer() -> object:
+        return peer.is_valid(document)
+
+    if not (isinstance(full_gate(), Accepted) and whole_peer()):
+        raise SystemExit("the document must be accepted by both")
+    pairs = [(microseconds(full_gate, 50), microseconds(whole_peer, 3)) for _ in range(rounds)]
+    gate_us, peer_us = (statistics.median(column) for column in zip(*pairs, strict=True))
+    return {
+        "benchmark": "gate",
+        "skills": SKILL_COUNT,
+        "steps": STEP_COUNT,
+        "bytes": len(data),
+        "gate_us": round(gate_us, 2),
+        "jsonschema_us": round(peer_us, 1),
+        "ratio": round(statistics.median(b / a for a, b in pairs), 1),
+        "target_ratio": TARGET_RATIO,
+        "rounds": rounds,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+    }
+
+
+def main() -> None:
+    """Print a table, or one JSON object with `--json`."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument("--rounds", type=int, default=200, help="alternating rounds (default 200)")
+    options = parser.parse_args()
+    result = measure(options.rounds)
+    if options.json:
+        print(json.dumps(result))
+        return
+    print(f"{result['skills']} skills, {result['steps']} steps, {result['bytes']} bytes, {result['rounds']} rounds")
+    print(f"{'whole gate, from bytes':36}{result['gate_us']:>10} µs")
+    print(f"{'jsonschema (pure Python), validation':36}{result['jsonschema_us']:>10} µs")
+    print(f"{'ratio (target ≥ 30)':36}{result['ratio']:>10} ×")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Unit strings of contract parameters: SI only, spelt one way, checked by pint when a registry is built."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING
+
+from dualbrain.errors import InvalidSetup
+
+if TYPE_CHECKING:
+    import pint
+
+_SPELLING = re.compile(r"(?:1|[A-Za-z]+(?:\*\*[2-4])?)(?:[*/][A-Za-z]+(?:\*\*[2-4])?)*")
+_SYMBOL = re.compile(r"[A-Za-z]+")
+_ALLOWED = "an SI unit without prefix, in symbols: 1, m, rad, s, kg, N, m/s, rad/s, m/s**2, N*m"
+
+
+@cache
+def require_si(unit: str) -> str:
+    """Return `unit` if it is a coherent SI unit in its short spelling, else raise `InvalidSetup`.
+
+    Coherent means that one `unit` is exactly one of the SI base units it is made of (N = kg m/s²), so a number in it
+    never needs a factor: "mm", "deg" and "km/h" are refused. One spelling for each unit ("m", never "metre") keeps
+    schema, prompt, documents and registry hash in one language. pint is imported here, not with the module.
+    """
+    import pint  # noqa: PLC0415 (half a second: only when a registry is built)
+
+    if not _SPELLING.fullmatch(unit):
+        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED)
+    registry = _pint_registry()
+    try:
+        for symbol in _SYMBOL.findall(unit):
+            _require_symbol(symbol, registry)
+        factor = registry.Quantity(1.0, registry.parse_units(unit)).to_base_units().magnitude
+    except pint.errors.UndefinedUnitError as unknown:
+        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED) from unknown
+    if factor != 1.0:
+        raise InvalidSetup("unit", got=unit, allowed=_ALLOWED, fix=f"One {unit} is {factor:.6g} in base units.")
+    return unit
+
+
+def _require_symbol(symbol: str, registry: pint.UnitRegistry) -> None:
+    """Raise `InvalidSetup` unless `symbol` is the short symbol of its unit."""
+    short = format(registry.parse_units(symbol), "~C")
+    if short != symbol:
+        raise InvalidSetup("unit symbol", got=symbol, allowed=_ALLOWED, fix=f"Write {short or '1'!r}.")
+
+
+@cache
+def _pint_registry() -> pint.UnitRegistry:
+    """The one pint registry of this process."""
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry()

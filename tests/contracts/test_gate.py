@@ -1,0 +1,248 @@
+"""The gate accepts exactly the contracts that its registry, grants and scene allow, and each stage can refuse alone."""
+
+import copy
+import json
+from typing import Any
+
+import jsonschema
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import syntax_schema
+from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.verdict import Accepted, Rejected
+from dualbrain.errors import UnknownName
+from tests.contracts.arm import NAMES, PRINCIPAL, REGISTRY, build_registry, check, contracts, unrestricted
+from tests.contracts.mutations import MUTATIONS
+
+GATE = unrestricted()
+CONJUNCTION = jsonschema.Draft7Validator(REGISTRY.validation_schema(NAMES))
+SYNTAX = jsonschema.Draft7Validator(syntax_schema(REGISTRY))
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**14), 10**14) | st.floats(-1e9, 1e9) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    max_leaves=12,
+)
+GOOD: dict[str, Any] = {
+    "id": "c-0007",
+    "context": {"robot": "panda", "registry": REGISTRY.hash},
+    "action_sequence": [
+        {"skill": "home", "params": {"speed": 0.1}},
+        {"skill": "decline", "params": {"reason": "the bowl is not in the scene"}},
+    ],
+}
+
+
+def with_(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    """`GOOD` with one place changed."""
+    document = copy.deepcopy(GOOD)
+    owner: Any = document
+    for key in path[:-1]:
+        owner = owner[key]
+    owner[path[-1]] = value
+    return document
+
+
+@settings(max_examples=60)
+@given(contracts())
+def test_a_contract_that_follows_from_the_specs_is_accepted_unchanged(document: dict[str, Any]) -> None:
+    verdict = check(GATE, document)
+    assert isinstance(verdict, Accepted)
+    said = verdict.contract
+    assert (said.id, said.context.robot, said.context.registry) == (document["id"], "panda", REGISTRY.hash)
+    for action, step in zip(said.action_sequence, document["action_sequence"], strict=True):
+        assert action.skill == step["skill"]
+        assert action.params == step["params"]
+        assert all(type(value) in (float, str) for value in action.params.values())
+
+
+@pytest.mark.parametrize(("stage", "mutate"), [(s, m) for s, ms in MUTATIONS.items() for m in ms])
+@settings(max_examples=25)
+@given(document=contracts(), data=st.data())
+def test_a_single_mutation_fails_at_its_stage(stage: str, mutate: Any, document: dict[str, Any], data: Any) -> None:
+    assume(mutate(document, data.draw))
+    verdict = check(GATE, document)
+    assert isinstance(verdict, Rejected), document
+    assert (verdict.stage, CONJUNCTION.is_valid(document)) == (stage, False)
+    assert SYNTAX.is_valid(document) == (stage != "syntax")
+    assert len(json.dumps(verdict.got)) < 200
+    assert verdict.hint
+    assert verdict.allowed
+
+
+@settings(max_examples=150)
+@given(contracts(), st.lists(st.sampled_from([m for ms in MUTATIONS.values() for m in ms]), max_size=3), st.data())
+def test_the_published_schema_accepts_exactly_what_the_stages_accept(
+    document: dict[str, Any], mutations: list[Any], data: Any
+) -> None:
+    for mutate in mutations:
+        try:
+            mutate(document, data.draw)
+        except (AttributeError, KeyError, TypeError, ValueError, UnknownName):
+            break  # an earlier mutation took away what this one changes
+    verdict = check(GATE, document)
+    assert isinstance(verdict, Accepted) == CONJUNCTION.is_valid(document)
+    assert (isinstance(verdict, Rejected) and verdict.stage == "syntax") == (not SYNTAX.is_valid(document))
+
+
+@given(JSON)
+def test_any_json_is_judged_as_the_published_schema_judges_it(document: Any) -> None:
+    assert isinstance(check(GATE, document), Accepted) == CONJUNCTION.is_valid(document)
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=400) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
+def test_no_bytes_raise(data: bytes) -> None:
+    assert isinstance(GATE.check(data, names=NAMES, principal=PRINCIPAL, now=0.0), Rejected)
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_no_damaged_contract_raises_and_none_is_accepted_in_part(data: Any) -> None:
+    good = json.dumps(GOOD).encode()
+    at, to = data.draw(st.integers(0, len(good))), data.draw(st.integers(0, len(good)))
+    damaged = good[:at] + data.draw(st.binary(max_size=6)) + good[to:]
+    verdict = GATE.check(damaged, names=NAMES, principal=PRINCIPAL, now=0.0)
+    if isinstance(verdict, Accepted):
+        assert CONJUNCTION.is_valid(json.loads(damaged))
+
+
+# --- each stage alone -----------------------------------------------------------------------------------------------
+
+
+def test_a_refusal_at_an_earlier_stage_hides_the_later_ones() -> None:
+    document = with_(("action_sequence", 0, "skill"), "hоme")
+    document["action_sequence"][1]["params"]["reason"] = "x" * 161
+    assert check(GATE, document).stage == "authorization"
+    document["id"] = 7
+    assert check(GATE, document).stage == "syntax"
+
+
+@pytest.mark.parametrize(
+    ("document", "stage", "pointer", "got", "hint"),
+    [
+        (with_(("action_sequence", 0, "params", "speed"), 0.9), "envelope", "/action_sequence/0/params/speed", 0.9,
+         "at most 0.4 m/s (site policy)"),
+        (with_(("action_sequence", 0, "params", "speed"), True), "syntax", "/action_sequence/0/params/speed", True,
+         "write a JSON number here"),
+        (with_(("action_sequence", 0, "params"), {"sped": 0.1}), "syntax", "/action_sequence/0/params", "sped",
+         "drop or rename this field; closest: 'speed'"),
+        (with_(("action_sequence", 0, "params"), {}), "syntax", "/action_sequence/0/params", None,
+         "add the missing field 'speed'"),
+        (with_(("action_sequence", 0, "skill"), "hоme"), "authorization", "/action_sequence/0/skill", "h\\u043eme",
+         "not a registered skill; closest: 'home'"),
+        (with_(("context", "robot"), "ur5e"), "authorization", "/context/robot", "ur5e",
+         "this gate guards another robot"),
+        (with_(("action_sequence",), []), "syntax", "/action_sequence", "array of 0",
+         "plan with fewer or with some actions"),
+        (with_(("id",), "c-0001\n"), "syntax", "/id", "c-0001\\n", "write an id like 'c-0001'"),
+        (with_(("action_sequence", 1, "params"), {"a~/b": []}), "syntax", "/action_sequence/1/params", "a~/b", None),
+    ],
+)  # fmt: skip
+def test_a_refusal_says_where_what_and_how_to_mend(
+    document: dict[str, Any], stage: str, pointer: str, got: Any, hint: str | None
+) -> None:
+    verdict = check(GATE, document)
+    assert (verdict.stage, verdict.pointer, verdict.got) == (stage, pointer, got)
+    assert hint is None or verdict.hint == hint
+
+
+def test_a_misspelt_name_is_answered_with_the_closest_one() -> None:
+    params = {"target": "red_qube", "speed": 0.1, "clearance": 0.1, "route": "direct", "wait": "none"}
+    verdict = check(GATE, with_(("action_sequence", 0), {"skill": "move_to", "params": params}))
+    assert (verdict.stage, verdict.hint) == ("envelope", "closest: 'red_cube'")
+    assert verdict.allowed == ["red_cube", "blue_cube", "tall_cup", "bowl", "left_spot"]
+
+
+def test_names_are_those_of_the_scene_of_now() -> None:
+    params = {"target": "red_cube", "speed": 0.1, "clearance": 0.1, "route": "direct", "wait": "none"}
+    document = with_(("action_sequence", 0), {"skill": "move_to", "params": params})
+    assert isinstance(check(GATE, document), Accepted)
+    assert check(GATE, document, SceneNames((), ("bowl",))).stage == "envelope"
+
+
+# --- grants, rules, registries --------------------------------------------------------------------------------------
+
+
+def test_only_granted_skills_of_a_known_principal_pass() -> None:
+    gate = Gate(REGISTRY, {PRINCIPAL: frozenset({"home"}), "guest": frozenset()})
+    verdict = check(gate, GOOD)
+    assert (verdict.stage, verdict.pointer, verdict.allowed) == (
+        "authorization", "/action_sequence/1/skill", ["home"],
+    )  # fmt: skip
+    assert "not granted" in verdict.hint
+    stranger = gate.check(json.dumps(GOOD).encode(), names=NAMES, principal="nobody", now=0.0)
+    assert isinstance(stranger, Rejected)
+    assert (stranger.stage, stranger.got) == ("authorization", "nobody")
+
+
+def test_a_grant_of_an_unregistered_skill_is_a_wrong_setup() -> None:
+    with pytest.raises(UnknownName, match="closest|Closest"):
+        Gate(REGISTRY, {PRINCIPAL: frozenset({"grasp_it"})})
+
+
+def test_a_contract_for_other_bounds_is_refused() -> None:
+    other = build_registry("panda_two")
+    assert check(unrestricted(other), GOOD).stage == "authorization"
+
+
+def test_rules_judge_at_the_envelope_stage_in_order() -> None:
+    seen: list[Contract] = []
+
+    def look(contract: Contract) -> None:
+        seen.append(contract)
+
+    def refuse(contract: Contract) -> Rejected:
+        return Rejected("syntax", "/action_sequence/0", "home", "a reachable target", "out of reach")
+
+    gate = Gate(REGISTRY, {PRINCIPAL: frozenset(REGISTRY.by_name)}, (look, refuse))
+    verdict = check(gate, GOOD)
+    assert (verdict.stage, verdict.hint) == ("envelope", "out of reach")
+    assert [contract.id for contract in seen] == ["c-0007"]
+    assert check(gate, with_(("id",), "")).stage == "syntax"
+    assert len(seen) == 1
+
+
+# --- the stamp ------------------------------------------------------------------------------------------------------
+
+
+def stamped(gate: Gate, document: Any = GOOD, *, now: float = 1.0, version: int | None = 4, **changes: Any) -> Any:
+    """The verdict on `document` in a stamp that is good but for `changes`."""
+    fields = {"sequence": 1, "issued": 0.5, "expires": 2.0, "principal": PRINCIPAL, "scene_version": 4} | changes
+    names = SceneNames(NAMES.graspable, NAMES.receptive, version)
+    return gate.check(json.dumps(document).encode(), names=names, principal=PRINCIPAL, now=now, stamp=Stamp(**fields))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"principal": "guest"}, {"issued": 1.5}, {"expires": 1.0}, {"expires": 0.1}, {"scene_version": 3},
+        {"issued": float("nan")}, {"expires": float("nan")}, {"now": float("nan")},
+    ],
+)  # fmt: skip
+def test_a_stamp_that_is_not_for_here_and_now_is_refused(changes: dict[str, Any]) -> None:
+    gate = unrestricted()
+    assert stamped(gate, **changes).stage == "authorization"
+    assert isinstance(stamped(gate), Accepted)
+
+
+def test_a_sequence_number_is_good_for_one_acceptance() -> None:
+    gate = unrestricted()
+    assert isinstance(stamped(gate, sequence=5), Accepted)
+    for again in (5, 4, -1):
+        assert stamped(gate, sequence=again).stage == "authorization"
+    assert isinstance(stamped(gate, sequence=9), Accepted)
+
+
+def test_a_refused_contract_leaves_its_number_unused() -> None:
+    gate = unrestricted()
+    assert stamped(gate, with_(("action_sequence", 0, "params", "speed"), 9)).stage == "envelope"
+    assert isinstance(stamped(gate), Accepted)
+
+
+def test_without_a_scene_version_the_stamp_is_not_held_to_one() -> None:
+    assert isinstance(stamped(unrestricted(), version=None), Accepted)
