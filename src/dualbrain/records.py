@@ -140,7 +140,10 @@ class Scene(Record, frozen=True):
 
 
 class Exemplar(Record, frozen=True):
-    """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2)."""
+    """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
+
+    `rank` counts from 1 in its list; `reason` says why it did not succeed ("" if it did).
+    """
 
     episode_id: str
     instruction: str
@@ -152,6 +155,7 @@ class Exemplar(Record, frozen=True):
     weight: float
     score: float
     rank: int
+    reason: str = ""
 
 
 class Recall(Record, frozen=True):

@@ -1,0 +1,123 @@
+"""The hash chain: each event carries the digest of the one before it, so that no past event can change unseen."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from dualbrain.errors import DualbrainError
+
+SCHEMA_VERSION = 1
+GENESIS = hashlib.sha256(b"dualbrain ledger, schema %d" % SCHEMA_VERSION).hexdigest()
+"""What the first event names as its predecessor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One line of the ledger.
+
+    `time` [s] is when it was written, since 1970 UTC. `run` is the run that wrote it and `subject` the episode it is
+    about ("" if none). `payload` is JSON in UTF-8 with sorted keys. `hash` = SHA-256 over all other fields.
+    """
+
+    seq: int
+    kind: str
+    run: str
+    subject: str
+    time: float
+    payload: bytes
+    previous: str
+    hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The newest event: its number (0 in an empty ledger) and digest. Kept elsewhere it anchors the chain."""
+
+    seq: int
+    hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChainReport:
+    """What a walk over the chain found: how many events hold, and the number and fault of the first that does not."""
+
+    events: int
+    head: Head
+    broken_at: int | None = None
+    fault: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """True if every event is the one that was written."""
+        return self.broken_at is None
+
+
+class DamagedLedger(DualbrainError):
+    """The ledger file is not what was written: an event was changed, removed or cannot be read."""
+
+    def __init__(self, fault: str, *, seq: int | None, path: str) -> None:
+        """Say what is wrong with which event and, last, where the file lies."""
+        self.fault, self.seq, self.path = fault, seq, path
+        where = "" if seq is None else f" at event {seq}"
+        super().__init__(
+            f"The memory ledger is damaged{where}: {fault}. Nothing was changed. Restore a copy, "
+            f"or move the file away to begin with an empty memory. {path}"
+        )
+
+
+def digest(event: Event) -> str:
+    """SHA-256 over all fields but `hash`, each preceded by its length: no two different events have the same bytes."""
+    texts = (event.kind, event.run, event.subject, event.previous)
+    numbers = struct.pack("<qd", event.seq, event.time)
+    fields = [numbers, *(text.encode("utf-8", "surrogateescape") for text in texts), event.payload]
+    hasher = hashlib.sha256()
+    for field in fields:
+        hasher.update(struct.pack("<q", len(field)))
+        hasher.update(field)
+    return hasher.hexdigest()
+
+
+def fault_of(event: Event, before: Head) -> str:
+    """Why `event` cannot follow `before`; "" if it can."""
+    if event.seq != before.seq + 1:
+        return f"event {before.seq + 1} is missing, the next one found is {event.seq}"
+    if event.previous != before.hash:
+        return "it does not name the event before it as its predecessor"
+    return "" if digest(event) == event.hash else "its content does not match its hash"
+
+
+def checked(events: Iterable[Event], path: str) -> Iterator[Event]:
+    """The same events, each only after its link was checked; raises `DamagedLedger` at the first that is broken."""
+    head = Head(0, GENESIS)
+    for event in events:
+        if fault := fault_of(event, head):
+            raise DamagedLedger(fault, seq=head.seq + 1, path=path)
+        head = Head(event.seq, event.hash)
+        yield event
+
+
+def walk(events: Iterable[Event], anchor: Head | None = None) -> ChainReport:
+    """Check every link, and that the chain still passes through `anchor`.
+
+    Promise: a change, insertion or removal of any event before the newest is found and its number reported. Removal of
+    the newest events leaves a shorter, valid chain: only an `anchor` kept elsewhere (each episode file holds one) shows
+    that. Whoever can rewrite the whole file and every anchor can forge a chain: it is evidence, not a signature.
+    """
+    head = Head(0, GENESIS)
+    try:
+        for event in events:
+            fault = fault_of(event, head)
+            if not fault and anchor is not None and event.seq == anchor.seq and event.hash != anchor.hash:
+                fault = "it is not the event that the anchor saw"
+            if fault:
+                return ChainReport(head.seq, head, head.seq + 1, fault)
+            head = Head(event.seq, event.hash)
+    except DualbrainError as error:
+        return ChainReport(head.seq, head, head.seq + 1, f"it cannot be read: {error}")
+    if anchor is not None and anchor.seq > head.seq:
+        missing = f"the ledger ends at event {head.seq}, but event {anchor.seq} had been written"
+        return ChainReport(head.seq, head, head.seq + 1, missing)
+    return ChainReport(head.seq, head)

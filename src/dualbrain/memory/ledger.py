@@ -1,0 +1,267 @@
+"""The append-only event ledger in SQLite: the only truth of memory. Weights and vectors are derived from it."""
+
+from __future__ import annotations
+
+import math
+import os
+import sqlite3
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+import msgspec
+
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.memory import runs
+from dualbrain.memory.chain import GENESIS, SCHEMA_VERSION, ChainReport, DamagedLedger, Event, Head, digest, walk
+from dualbrain.memory.runs import InterruptedRun
+from dualbrain.memory.writer_lock import Holder, WriterLock
+
+EPISODE, WEIGHT = "episode", "weight"
+"""Kinds of the events that make memory; further kinds (neighbour, quarantine, correction, tick) need no new schema."""
+
+_SCHEMA = f"""
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+INSERT INTO meta VALUES ('schema_version', '{SCHEMA_VERSION}');
+CREATE TABLE event (
+    seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, run TEXT NOT NULL, subject TEXT NOT NULL, time REAL NOT NULL,
+    payload BLOB NOT NULL, previous TEXT NOT NULL, hash TEXT NOT NULL);
+CREATE INDEX event_kind ON event (kind, run);
+CREATE UNIQUE INDEX one_episode ON event (subject) WHERE kind = 'episode';
+CREATE UNIQUE INDEX one_start ON event (run) WHERE kind = 'run_started';
+CREATE TRIGGER event_is_never_changed BEFORE UPDATE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
+CREATE TRIGGER event_is_never_removed BEFORE DELETE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
+CREATE TABLE vector (seq INTEGER PRIMARY KEY REFERENCES event (seq), version TEXT NOT NULL, data BLOB NOT NULL);
+"""
+_COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What is to be appended: `payload` is anything msgspec can write as JSON; `vector` goes to the projection.
+
+    `run` is the run it belongs to, None for the one that is under way.
+    """
+
+    kind: str
+    subject: str
+    payload: object
+    vector: Vector | None = None
+    run: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`."""
+
+    version: str
+    data: bytes
+
+
+class LedgerReader:
+    """Read-only view of a ledger; any number may be open, also while a run writes."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the ledger at `path`; raises `MissingPart`, `InvalidSetup` or `DamagedLedger`."""
+        if not path.exists():
+            raise MissingPart(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
+        self.path = path
+        with self._translated():
+            self._database = sqlite3.connect(path.resolve().as_uri() + "?mode=ro", uri=True, isolation_level=None)
+            self._admit()
+
+    def _admit(self) -> None:
+        """Read text as it is, however damaged, and refuse a schema that this program does not know."""
+        self._database.text_factory = _text
+        rows = self._database.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchall()
+        version = rows[0][0] if rows else "none"
+        if version != str(SCHEMA_VERSION):
+            raise InvalidSetup(
+                "ledger schema_version", got=version, allowed=str(SCHEMA_VERSION), fix=f"Update dualbrain. {self.path}"
+            )
+
+    @contextmanager
+    def _translated(self) -> Generator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            allowed = "a ledger that this user can read and write, on a disk with space"
+            raise InvalidSetup("memory ledger", got=str(error), allowed=allowed, fix=str(self.path)) from error
+        except sqlite3.IntegrityError as error:
+            allowed = "an episode id or run name that this ledger does not hold yet"
+            raise InvalidSetup("ledger event", got=str(error), allowed=allowed) from error
+        except sqlite3.DatabaseError as error:
+            raise DamagedLedger(f"SQLite says: {error}", seq=None, path=str(self.path)) from error
+
+    def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[Event]:
+        """Events in order of `seq`; `where` is an SQL condition over the columns of the event table."""
+        condition = f"WHERE {where}" if where else ""
+        with self._translated():
+            query = f"SELECT {_COLUMNS} FROM event {condition} ORDER BY seq"
+            for row in self._database.execute(query, values):
+                yield _event(row)
+
+    def head(self) -> Head:
+        """The newest event, (0, genesis) if there is none."""
+        with self._translated():
+            row = self._database.execute("SELECT seq, hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
+        return Head(row[0], row[1]) if row else Head(0, GENESIS)
+
+    def verify(self, anchor: Head | None = None) -> ChainReport:
+        """Walk the whole chain (see `chain.walk`); an unreadable event is a report too."""
+        return walk(self.events(), anchor)
+
+    def vectors(self) -> dict[int, Vector]:
+        """The vector projection: the event number of an episode → its vector."""
+        with self._translated():
+            rows = self._database.execute("SELECT seq, version, data FROM vector").fetchall()
+        return {seq: Vector(version, data) for seq, version, data in rows}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class Ledger(LedgerReader):
+    """The one writer. Each `append` is one transaction and one fsync: all of it is on disk, or none of it is.
+
+    Promise: a process killed between any two statements leaves a valid chain that holds every acknowledged event.
+    Assumption: the disk keeps what it says it has synced.
+    """
+
+    def __init__(self, path: Path, *, holder: str, now: float) -> None:
+        """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC]; raises `LedgerInUse` if it is taken."""
+        self.path, self._run = path, ""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = WriterLock(path, Holder(os.getpid(), holder, now))
+        try:
+            with self._translated():
+                self._database = sqlite3.connect(path, isolation_level=None)
+                self._create()
+                self._admit()
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _create(self) -> None:
+        mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
+        if mode != "wal":
+            raise InvalidSetup("ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}")
+        self._database.execute("PRAGMA synchronous = FULL")
+        if not self._database.execute("SELECT 1 FROM sqlite_master").fetchone():
+            self._database.executescript(f"BEGIN IMMEDIATE;{_SCHEMA}COMMIT;")
+
+    def append(self, entries: Sequence[Entry], *, now: float) -> tuple[Event, ...]:
+        """Chain and store `entries`, all or none, written at `now` [s, 1970 UTC]."""
+        if not math.isfinite(now):
+            raise InvalidSetup("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
+        head, events = self.head(), list[Event]()
+        for entry in entries:
+            event = _chained(entry, self._run if entry.run is None else _clean(entry.run), now, head)
+            events.append(event)
+            head = Head(event.seq, event.hash)
+        with self._transaction():
+            for event, entry in zip(events, entries, strict=True):
+                row = tuple(getattr(event, name) for name in Event.__slots__)
+                self._database.execute(f"INSERT INTO event ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
+                if entry.vector is not None:
+                    self._project(event.seq, entry.vector)
+        return tuple(events)
+
+    def replace_vectors(self, vectors: Mapping[int, Vector]) -> None:
+        """Put `vectors` in place of the whole projection; the events are not touched."""
+        with self._transaction():
+            self._database.execute("DELETE FROM vector")
+            for seq, vector in vectors.items():
+                self._project(seq, vector)
+
+    def _project(self, seq: int, vector: Vector) -> None:
+        self._database.execute("INSERT INTO vector VALUES (?, ?, ?)", (seq, vector.version, vector.data))
+
+    @contextmanager
+    def _transaction(self) -> Generator[None]:
+        with self._translated():
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
+    def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
+        """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""
+        cut = self.interrupted()
+        closing = [Entry(runs.INTERRUPTED, "", {"after": one.last_words, "found_by": run}, run=one.run) for one in cut]
+        self.append([*closing, Entry(runs.STARTED, "", details, run=run)], now=now)
+        self._run = _clean(run)
+        return cut
+
+    def mark(self, what: str, *, now: float) -> None:
+        """Write down what the run is about to do (a few words), so that an interrupted run can be told apart."""
+        self.append([Entry(runs.MARKED, "", {"what": what})], now=now)
+
+    def end_run(self, details: object, *, now: float) -> None:
+        """End the run that `start_run` began."""
+        self.append([Entry(runs.ENDED, "", details)], now=now)
+        self._run = ""
+
+    def interrupted(self) -> tuple[InterruptedRun, ...]:
+        """Runs of former processes that started and never ended, oldest first. Only the writer can know this."""
+        ended = "SELECT run FROM event WHERE kind IN (?, ?)"
+        where = f"kind = ? AND run <> ? AND run NOT IN ({ended})"
+        open_runs = list(self.events(where, (runs.STARTED, self._run, runs.ENDED, runs.INTERRUPTED)))
+        return tuple(self._interrupted(start) for start in open_runs)
+
+    def _interrupted(self, start: Event) -> InterruptedRun:
+        events = list(self.events("run = ?", (start.run,)))
+        episodes = sum(event.kind == EPISODE for event in events)
+        return InterruptedRun(start.run, start.time, events[-1].time, runs.last_words(events[-1]), episodes)
+
+    def close(self) -> None:
+        """Close the file and let the next writer in."""
+        super().close()
+        self._lock.release()
+
+
+def _chained(entry: Entry, run: str, now: float, head: Head) -> Event:
+    payload = msgspec.json.encode(_clean(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic")
+    event = Event(head.seq + 1, entry.kind, run, _clean(entry.subject), float(now), payload, head.hash, "")
+    return replace(event, hash=digest(event))
+
+
+def _clean(value: Any) -> Any:
+    """The same value without what JSON in UTF-8 cannot hold: lone surrogates become U+FFFD, huge integers words."""
+    match value:
+        case str():
+            return value.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
+        case dict():
+            return {_clean(key): _clean(item) for key, item in cast("dict[str, Any]", value).items()}
+        case list() | tuple():
+            return [_clean(item) for item in cast("list[Any]", value)]
+        case int() if value.bit_length() > 63:
+            return f"an integer of {value.bit_length()} bits"
+        case _:
+            return value
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode("utf-8", "surrogateescape")
+
+
+def _event(row: tuple[Any, ...]) -> Event:
+    """An event from a row in which a stranger may have put any type."""
+    seq, kind, run, subject, time, payload, previous, stored = row
+    seconds = time if isinstance(time, float) else math.nan
+    content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")
+    return Event(seq, str(kind), str(run), str(subject), seconds, content, str(previous), str(stored))

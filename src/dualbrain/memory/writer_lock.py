@@ -1,0 +1,70 @@
+"""One writer at a time: an advisory lock beside the ledger that says who holds it and dies with its holder."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+
+from dualbrain.errors import DualbrainError
+
+
+class Holder(msgspec.Struct, frozen=True):
+    """Who holds the lock: process id, what it is doing, and since when [s, 1970 UTC]."""
+
+    pid: int
+    name: str
+    since: float
+
+
+class LedgerInUse(DualbrainError):
+    """Another process writes this ledger."""
+
+    def __init__(self, holder: Holder | None, path: str) -> None:
+        """Name the holder (None if it has not yet said who it is) and, last, the ledger."""
+        self.holder, self.path = holder, path
+        who = "another process" if holder is None else f"process {holder.pid} ({holder.name})"
+        super().__init__(
+            f"The memory ledger is being written by {who}. One writer at a time: wait for it, stop it, "
+            f"or give this run a ledger of its own with --ledger FILE. Reading is always allowed. {path}"
+        )
+
+
+class WriterLock:
+    """An exclusive `flock` on `<ledger>.lock`.
+
+    The operating system drops it when the holder ends, however it ends, so a killed run leaves no stale lock behind.
+    Assumption: a local file system (network file systems may not honour `flock`).
+    """
+
+    def __init__(self, ledger: Path, holder: Holder) -> None:
+        """Take the lock or raise `LedgerInUse`."""
+        path = ledger.with_name(ledger.name + ".lock")
+        self._file: BinaryIO = path.open("a+b")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            other = _read_holder(self._file)
+            self._file.close()
+            raise LedgerInUse(other, str(ledger)) from None
+        self._file.truncate(0)
+        self._file.write(msgspec.json.encode(holder))
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def release(self) -> None:
+        """Let the next writer in; the file stays, empty."""
+        if not self._file.closed:
+            self._file.truncate(0)
+            self._file.close()
+
+
+def _read_holder(file: BinaryIO) -> Holder | None:
+    file.seek(0)
+    try:
+        return msgspec.json.decode(file.read(), type=Holder)
+    except msgspec.DecodeError:
+        return None

@@ -1,0 +1,76 @@
+"""Small episodes, limits and memories that the tests of this room share."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.memory.embedding import EmbeddingConfig
+from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.posture import Posture, PostureLimits
+from dualbrain.memory.store import Memory, MemoryConfig
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, OutcomeClass, Proposal, Recall, Scene
+
+ARM = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.0), 0.04)
+OTHER = PostureLimits("other", (-1.0,), (1.0,), 0.1)
+REST = Posture((0.0, 0.5), 0.04)
+NOW = 1_800_000_000.0
+CONFIG = MemoryConfig(limits=(ARM, OTHER), embedding=EmbeddingConfig(features=16))
+
+
+def contract(object_name: str = "red_cube") -> dict[str, Any]:
+    return {
+        "id": "c-1",
+        "context": {"robot": "arm", "registry": "aaaa1111"},
+        "action_sequence": [{"skill": "grasp", "params": {"object": object_name, "speed": 0.1}}],
+    }
+
+
+def episode(
+    name: str,
+    kind: OutcomeClass = "succeeded",
+    *,
+    Delta: float | None = 0.0,
+    instruction: str = "put the red cube in the bowl",
+    summary: str = "neighbour_across low",
+    recall: Recall | None = None,
+    robot: str = "arm",
+    registry: str = "aaaa1111",
+    judgement: Judgement | None = None,
+    proposed: str = "{}",
+    refused: Any = None,
+) -> Episode:
+    verdict = Rejected("envelope", "/action_sequence/0/params/speed", refused, "0.05..0.4", "slower")
+    proposal = Proposal(proposed, "stop", "scripted", "nothing", {"total": 0.1})
+    return Episode(
+        id=name,
+        started="2027-01-15T08:00:00Z",
+        instruction=instruction,
+        robot=robot,
+        registry=registry,
+        seed=1,
+        scene=Scene(robot, 0.0, 1, ()),
+        summary=summary,
+        recall=recall or Recall(),
+        attempts=(Attempt(proposal, verdict, 1e-4),),
+        contract=contract(),
+        outcome=Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta),
+        judgement=judgement,
+        timings={"plan": 1.0},
+        versions={"dualbrain": "0"},
+    )
+
+
+def open_ledger(folder: Path, name: str = "ledger.db") -> Ledger:
+    return Ledger(folder / name, holder="a test", now=NOW)
+
+
+def open_memory(ledger: Ledger, config: MemoryConfig = CONFIG) -> Memory:
+    return Memory(ledger, HashingEncoder(32), config)
+
+
+def unit_rows(rng: np.random.Generator, n: int, dim: int) -> np.ndarray:
+    rows = rng.standard_normal((n, dim))
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)

@@ -1,0 +1,72 @@
+"""Encoders: unit rows, each text by itself, meaning (with weights), and clear words when a file is missing."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.errors import MissingPart
+from dualbrain.memory.encoder import Encoder, MiniLmEncoder
+from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.weights import default_cache, locate
+
+AWKWARD = ("", " ", "\x00", "a" * 5000, "红色方块放进碗里", "💥" * 300, "\u202e\u200b", "[MASK] [SEP] [PAD]")
+
+
+@pytest.fixture(scope="module")
+def minilm() -> MiniLmEncoder:
+    cache = default_cache(os.environ)
+    return MiniLmEncoder(locate("minilm-l6-v2-int8", cache), locate("minilm-l6-v2-tokenizer", cache))
+
+
+def _check_rows(encoder: Encoder, texts: list[str]) -> None:
+    rows = encoder.encode(texts)
+    assert (rows.shape, rows.dtype) == ((len(texts), encoder.dim), np.float32)
+    assert np.allclose(np.linalg.norm(rows, axis=1), 1.0, atol=1e-5)
+    for text, row in zip(texts, rows, strict=True):
+        assert np.array_equal(encoder.encode([text])[0], row)
+
+
+@given(st.lists(st.text(max_size=40), max_size=4))
+def test_hashing_gives_unit_rows_that_depend_on_each_text_alone(texts: list[str]) -> None:
+    _check_rows(HashingEncoder(32), texts)
+
+
+def test_hashing_takes_any_text() -> None:
+    _check_rows(HashingEncoder(32), list(AWKWARD))
+
+
+def test_hashing_knows_shared_words() -> None:
+    a, b, c = HashingEncoder(64).encode(["put the red cube away", "put the blue cube away", "swim home"])
+    assert a @ b > 0.5 > a @ c
+
+
+@pytest.mark.parametrize("absent", ["model.onnx", "tokenizer.json"])
+def test_a_missing_file_names_the_command_that_fetches_it(tmp_path: Path, absent: str) -> None:
+    for name in {"model.onnx", "tokenizer.json"} - {absent}:
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(MissingPart, match=rf"{absent} is missing.*dualbrain models fetch minilm-l6-v2-int8"):
+        MiniLmEncoder(tmp_path / "model.onnx", tmp_path / "tokenizer.json")
+
+
+@pytest.mark.llm
+def test_minilm_gives_unit_rows_that_depend_on_each_text_alone(minilm: MiniLmEncoder) -> None:
+    _check_rows(minilm, [*AWKWARD, "put the red cube in the bowl"])
+    assert minilm.encode([]).shape == (0, 384)
+
+
+@pytest.mark.llm
+def test_minilm_knows_meaning(minilm: MiniLmEncoder) -> None:
+    texts = ["pick up the red cube and place it in the bowl", "put the red block into the bowl", "push the mug away"]
+    base, same, other = minilm.encode(texts)
+    assert base @ same == pytest.approx(0.71, abs=0.03)
+    assert base @ other == pytest.approx(0.28, abs=0.03)
+
+
+@pytest.mark.llm
+def test_minilm_is_named_by_its_content(minilm: MiniLmEncoder) -> None:
+    assert minilm.id.startswith("minilm-l6-v2-int8@")
+    assert len(minilm.id) == len("minilm-l6-v2-int8@") + 8
