@@ -39,7 +39,13 @@ def fetch(*names: str) -> int:
 
 def _fetch_one(name: str) -> None:
     file = weights.find_file(name)
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(name, total=file.size)
         path = weights.fetch(name, cache(), lambda done, total: bar.update(task, completed=done, total=total))

@@ -14,7 +14,9 @@ def schema(
     *,
     robot: str = "panda",
     scene: str = "0",
-    form: Annotated[Literal["validation", "decoding", "short"], Parameter(help="which of the generated forms")] = "validation",
+    form: Annotated[
+        Literal["validation", "decoding", "short"], Parameter(help="which of the generated forms")
+    ] = "validation",
 ) -> int:
     """Print the Draft-07 JSON Schema of a robot's contracts, with the names of a scene.
 

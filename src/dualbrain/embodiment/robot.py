@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.body import Body
+
 Array = NDArray[np.float64]
 
 
@@ -47,3 +49,8 @@ class Robot(Protocol):
     def stop(self) -> None:
         """Disable the drive (stop category 0): brakes engage and stay engaged until the robot is enabled again."""
         ...
+
+
+def at_home(body: Body) -> RobotState:
+    """The state of `body` at rest in its home posture with open fingers, at time 0."""
+    return RobotState(0.0, 0, np.array(body.home), np.zeros(body.n), body.gripper.opening.value, (0.0, 0.0))

@@ -1,0 +1,140 @@
+"""The account of a run: what people read while it happens, what programs read when it is over, what remains on disk."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from secrets import token_hex
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.markup import escape
+
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache, home
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported: no screen is needed
+
+from dualbrain.cli.album import Album
+from dualbrain.cli.lookout import Lookout
+from dualbrain.dashboard.report import write_report
+from dualbrain.records import Episode
+from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.trace import Event
+
+STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red"}
+
+
+def carry_out(
+    instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
+    contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
+    ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
+) -> int:  # fmt: skip
+    """Run, tell, draw, report; returns the exit code."""
+    console = Console(file=sys.stderr, highlight=False)
+    started = datetime.now(UTC)
+    out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
+    config = RunConfig(
+        instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
+        goal=goal, measured=view and contract is None,
+    )  # fmt: skip
+    pace = _Pace() if view else None
+    times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
+    console.print(f"[bold]{escape(instruction) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]")
+    with Session(config, times, os.environ) as session:
+        lookout = Lookout(session, port, console) if view else None
+        album = Album(session.plant, console)
+        finished = session.run(_onlooker(session, console, album, lookout))
+        album.snap("the end")
+        write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
+        album.close()
+        for cut in session.interrupted:
+            console.print(f"[yellow]{escape(str(cut))}[/]")
+        _tell(console, finished, out)
+        if as_json:
+            print(msgspec.json.encode(summary(finished.episode, out)).decode(), flush=True)
+        if lookout:
+            lookout.finish(finished.episode, stay=stay)
+    return exit_code(finished.episode)
+
+
+def exit_code(episode: Episode) -> Exit:
+    """What the episode means to a shell: violations outrank everything but an interruption."""
+    if episode.outcome.kind == "aborted":
+        return Exit.INTERRUPTED
+    if episode.judgement and episode.judgement.violations:
+        return Exit.VIOLATION
+    if episode.outcome.kind in ("rejected", "declined"):
+        return Exit.REJECTED
+    return Exit.SUCCESS if succeeded(episode) else Exit.FAILED_SAFELY
+
+
+def succeeded(episode: Episode) -> bool:
+    """The robot says so and, where somebody knows the truth, the truth agrees."""
+    truth = episode.judgement.success if episode.judgement else True
+    return episode.outcome.kind == "succeeded" and truth
+
+
+def summary(episode: Episode, out: Path) -> dict[str, Any]:
+    """The one object that `--json` prints."""
+    outcome, last = episode.outcome, episode.attempts[-1]
+    return {
+        "success": succeeded(episode), "outcome": outcome.kind, "reason": outcome.reason,
+        "violations": episode.judgement.violations if episode.judgement else [],
+        "contract": episode.contract, "verdict": last.verdict, "shots": len(episode.attempts),
+        "delta": outcome.Delta, "intervention_frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
+        "duration": outcome.duration, "timings": episode.timings, "out": str(out),
+    }  # fmt: skip
+
+
+def _onlooker(session: Session, console: Console, album: Album, lookout: Lookout | None) -> Onlooker:
+    def on_event(event: Event) -> None:
+        if event.kind != "perception":
+            style = STYLE.get(event.kind, "")
+            console.print(f"[dim]{event.t:7.2f} s[/]  [{style or 'default'}]{escape(event.text)}[/]")
+        if lookout:
+            lookout.event(event)
+
+    def on_phase(phase: str) -> None:
+        album.phase(phase)
+
+    return Onlooker(on_event, lookout.moment if lookout else lambda moment: None, on_phase)
+
+
+def _tell(console: Console, finished: Finished, out: Path) -> None:
+    """The last lines: outcome, numbers, memory, where things lie."""
+    episode, outcome = finished.episode, finished.episode.outcome
+    colour = "green" if succeeded(episode) else "yellow"
+    console.print(f"[bold {colour}]{outcome.kind}[/]: {escape(outcome.reason)}")
+    if outcome.Delta is not None and outcome.h_min is not None:
+        console.print(
+            f"Δ {outcome.Delta:.4f}, intervened on {outcome.intervention_frequency:.1%} of ticks, "
+            f"closest {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
+        )
+    if episode.judgement:
+        for violation in episode.judgement.violations:
+            console.print(
+                f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
+            )
+        console.print(f"simulator truth: {'success' if episode.judgement.success else 'no success'}")
+    console.print(f"[dim]{finished.stored}[/]")
+    console.print(f"[dim]report: {out / 'report.html'}[/]")
+
+
+class _Pace:
+    """Keeps simulated time from running ahead of the wall clock."""
+
+    def __init__(self) -> None:
+        self._start: float | None = None
+
+    def __call__(self, now: float) -> None:
+        """Sleep when `now` [s of simulation] is early."""
+        wall = time.monotonic()
+        if self._start is None or wall - self._start > now + 0.2:
+            self._start = wall - now
+        elif (early := now - (wall - self._start)) > 0.004:
+            time.sleep(early)

@@ -1,0 +1,50 @@
+"""Pictures of a run, taken at the moments that tell its story."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from dualbrain.dashboard.report import Snapshot
+from dualbrain.errors import MissingPart
+from dualbrain.world.pictures import Camera
+from dualbrain.world.plant import Plant
+
+MOMENTS = {
+    "planning": "the planner thinks",
+    "descend": "coming down",
+    "close": "the fingers close",
+    "carry": "carrying",
+    "lower": "lowering",
+    "retreat": "letting go",
+}
+
+
+class Album:
+    """Takes one picture at the first of each telling phase; without a GL library it stays empty and says why."""
+
+    def __init__(self, plant: Plant, console: Console) -> None:
+        """Open the camera."""
+        self._plant = plant
+        self._seen: set[str] = set()
+        self.pictures: list[Snapshot] = []
+        self._camera: Camera | None = None
+        try:
+            self._camera = Camera(plant)
+        except MissingPart as why:
+            console.print(f"[yellow]no pictures:[/] {why}")
+
+    def phase(self, phase: str) -> None:
+        """A phase begins."""
+        if phase in MOMENTS and phase not in self._seen:
+            self._seen.add(phase)
+            self.snap(MOMENTS[phase])
+
+    def snap(self, caption: str) -> None:
+        """Take a picture now."""
+        if self._camera:
+            self.pictures.append(Snapshot(self._plant.now, caption, self._camera.snap().copy()))
+
+    def close(self) -> None:
+        """Release the camera."""
+        if self._camera:
+            self._camera.close()

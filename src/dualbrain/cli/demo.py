@@ -1,0 +1,32 @@
+"""dualbrain demo: the main job in one command."""
+
+from __future__ import annotations
+
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.run import PLANNER
+
+
+def demo(
+    instruction: str = "put the red cube in the bowl",
+    /,
+    *,
+    planner: str = PLANNER,
+    headless: bool = False,
+    scene: str = "0",
+) -> int:
+    """A person's forearm crosses the table while the arm does what it was told. Exits 0 only on real success.
+
+    Parameters
+    ----------
+    instruction
+        What to do, in words.
+    planner
+        Name from `dualbrain models list`, or the URL of an OpenAI-compatible server.
+    headless
+        No live view.
+    scene
+        Which world; scene 0 has the crossing forearm.
+    """
+    from dualbrain.cli.account import carry_out  # noqa: PLC0415  (heavy)
+
+    return Exit(carry_out(instruction, scene=scene, planner=planner, view=not headless, stay=not headless))

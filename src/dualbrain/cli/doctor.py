@@ -1,0 +1,125 @@
+"""dualbrain doctor: what is here, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from dualbrain import __version__, weights
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache, home
+from dualbrain.errors import DualbrainError
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the examination: `good` False means something is missing, and `text` says how to get it."""
+
+    what: str
+    good: bool
+    text: str
+
+
+def doctor() -> int:
+    """Examine this installation: versions, kernel, rendering, models, memory, latency of one filter step."""
+    examinations = (_versions, _kernel, _latency, _rendering, _models, _memory)
+    findings = [finding for examine in examinations for finding in _safely(examine)]
+    table = Table("", "what", "found", box=None, pad_edge=False)
+    for finding in findings:
+        table.add_row("[green]ok[/]" if finding.good else "[red]--[/]", finding.what, finding.text)
+    Console().print(table)
+    return Exit.SUCCESS if all(finding.good for finding in findings) else Exit.SETUP
+
+
+def _safely(examine: Callable[[], list[Finding]]) -> list[Finding]:
+    try:
+        return examine()
+    except (DualbrainError, ImportError, OSError) as error:
+        return [Finding(examine.__name__.strip("_"), False, str(error))]
+
+
+def _versions() -> list[Finding]:
+    parts = ("numpy", "mujoco", "msgspec", "jsonschema-rs", "xllamacpp", "onnxruntime", "mcap", "viser")
+    found = ", ".join(f"{part} {_version(part)}" for part in parts)
+    return [
+        Finding("dualbrain", True, f"{__version__} on Python {platform.python_version()}"),
+        Finding("packages", "not" not in found, found),
+    ]
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed (pip install 'dualbrain[all]')"
+
+
+def _kernel() -> list[Finding]:
+    from dualbrain.safety.native import kernel_build, kernel_hash  # noqa: PLC0415
+
+    return [Finding("kernel", True, f"{kernel_build()}, hash {kernel_hash()}")]
+
+
+def _latency() -> list[Finding]:
+    from dualbrain.embodiment.body import load_body  # noqa: PLC0415
+    from dualbrain.embodiment.robot import at_home  # noqa: PLC0415
+    from dualbrain.runtime.desk import as_specified  # noqa: PLC0415
+    from dualbrain.safety.filter import SafetyFilter  # noqa: PLC0415
+    from dualbrain.safety.obstacles import from_scene  # noqa: PLC0415
+    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
+
+    body = load_body("panda")
+    safety, state = SafetyFilter(body), at_home(body)
+    safety.observe(from_scene(as_specified(open_scene("0")), known=(), held=None), 0.0)
+    times: list[float] = []
+    for _ in range(2000):
+        start = time.perf_counter()
+        safety.filter(state, state.v, 0.0)
+        times.append((time.perf_counter() - start) * 1e6)
+    lag = f"lag {body.tracking.lag * 1e3:.0f} ms ± {body.tracking.velocity_error} rad/s"
+    return [
+        Finding("filter step", True, f"{statistics.median(times):.1f} µs median, scene 0, from Python"),
+        Finding("tracking model", True, f"{body.name}: {lag} ({body.tracking.provenance})"),
+    ]
+
+
+def _rendering() -> list[Finding]:
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from dualbrain.embodiment.body import load_body  # noqa: PLC0415
+    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
+    from dualbrain.world.pictures import Camera  # noqa: PLC0415
+    from dualbrain.world.plant import Plant  # noqa: PLC0415
+
+    with Camera(Plant(open_scene("bare:0"), load_body("panda")), width=64, height=48) as camera:
+        picture = camera.snap()
+    return [Finding("rendering", bool(picture.any()), f"MUJOCO_GL={os.environ['MUJOCO_GL']}")]
+
+
+def _models() -> list[Finding]:
+    def one(status: weights.WeightStatus) -> Finding:
+        good = status.verified
+        return Finding(
+            status.file.name, good, "verified" if good else f"not here: dualbrain models fetch {status.file.name}"
+        )
+
+    return [one(status) for status in weights.list_weights(cache())]
+
+
+def _memory() -> list[Finding]:
+    from dualbrain.memory.ledger import LedgerReader  # noqa: PLC0415
+
+    path: Path = home() / "ledger.sqlite"
+    if not path.exists():
+        return [Finding("memory", True, "empty: no run yet")]
+    with LedgerReader(path) as ledger:
+        report = ledger.verify()
+    return [Finding("memory", report.intact, str(report))]

@@ -1,0 +1,73 @@
+"""Feeds the live view from the control loop."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+
+import numpy as np
+from rich.console import Console
+
+from dualbrain.dashboard.live import LiveView
+from dualbrain.dashboard.view_state import ViewState
+from dualbrain.records import Episode
+from dualbrain.runtime.local_layer import Moment
+from dualbrain.runtime.session import Session
+from dualbrain.runtime.trace import DEAD_BAND, Event
+from dualbrain.safety.filter import SafetyFilter
+
+LINES = 12
+
+
+class Lookout:
+    """Turns moments of the loop into states of the view; running averages are kept over what it is shown."""
+
+    def __init__(self, session: Session, port: int, console: Console) -> None:
+        """Open the view and say where it is."""
+        self._body = session.body
+        self._kinematics = SafetyFilter(session.body)
+        self._view = LiveView(session.body, port, instruction=session.config.instruction)
+        self._lines: deque[str] = deque(maxlen=LINES)
+        self._deltas: list[float] = []
+        self._h_min = float("inf")
+        self._console = console
+        if self._view.notice:
+            console.print(f"[yellow]{self._view.notice}[/]")
+        console.print(f"live view: [bold]{self._view.url}[/]")
+
+    def event(self, event: Event) -> None:
+        """Show a line of news."""
+        if event.kind != "perception":
+            self._lines.append(f"{event.t:.1f} s  {event.text}")
+
+    def moment(self, moment: Moment) -> None:
+        """Show a tick of the loop."""
+        state, result = moment.state, moment.result
+        if moment.action >= 0:
+            self._deltas.append(result.delta)
+            self._h_min = min(self._h_min, result.h_min)
+        centres, radii, _ = self._kinematics.spheres(state.q, state.opening)
+        numbers: dict[str, float | str] = {
+            "h_min": result.h_min, "delta": result.delta,
+            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
+            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
+            "speed": float(np.linalg.norm(result.u)), "elapsed": state.stamp,
+            "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name, "planner": "",
+        }  # fmt: skip
+        frames = self._kinematics.frames(state.q, state.opening)
+        self._view.show(
+            ViewState(state.stamp, frames, moment.scene, centres, radii, numbers=numbers, lines=tuple(self._lines))
+        )
+
+    def finish(self, episode: Episode, *, stay: bool) -> None:
+        """Show the end; with `stay` and a terminal, keep the page until Ctrl-C."""
+        self._view.finish(episode)
+        if stay and sys.stdin.isatty():
+            self._console.print("the live view stays open: Ctrl-C to leave")
+            try:
+                while True:
+                    time.sleep(0.5)
+            except KeyboardInterrupt:
+                pass
+        self._view.close()

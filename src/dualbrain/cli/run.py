@@ -1,0 +1,78 @@
+"""dualbrain run: words (or a given contract) become safe motion; a run folder, a report and an account remain."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dualbrain.cli.exits import Exit
+from dualbrain.errors import InvalidSetup
+
+PLANNER = "qwen2.5-coder-1.5b-instruct"
+
+
+def run(
+    instruction: str = "",
+    /,
+    *,
+    robot: str = "panda",
+    scene: str = "0",
+    planner: str = PLANNER,
+    filter: Literal["on", "off"] = "on",
+    contract: Path | None = None,
+    goal: str = "",
+    headless: bool = False,
+    out: Path | None = None,
+    ledger: Path | None = None,
+    seed: int = 0,
+    port: int = 8080,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Run one instruction on the simulated robot.
+
+    Parameters
+    ----------
+    instruction
+        What to do, in words. May be empty with --contract.
+    robot
+        Which body.
+    scene
+        Which world: a number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile) or a scene file.
+    planner
+        Name from `dualbrain models list`, or the URL of an OpenAI-compatible server.
+    filter
+        "off" writes the nominal control unfiltered: for comparison in simulation only.
+    contract
+        Run this contract file instead of asking a planner; it passes the same gate.
+    goal
+        What counts as success on truth, as "put THING in DESTINATION"; default: what the contract itself says.
+    headless
+        No live view.
+    out
+        Run folder; default runs/<UTC stamp>-<id>.
+    ledger
+        Memory to use; default in dualbrain's home.
+    seed
+        Everything random after the scene (perception).
+    port
+        Where the live view listens, on this machine only.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.cli.account import carry_out  # noqa: PLC0415  (heavy)
+
+    if not instruction.strip() and contract is None:
+        raise InvalidSetup(
+            "instruction", got=instruction, allowed="some words, or --contract FILE",
+            fix='For example: dualbrain run "put the red cube in the bowl"',
+        )  # fmt: skip
+    live = not headless and sys.stdout.isatty()
+    return Exit(
+        carry_out(
+            instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
+            view=not headless, stay=live, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
+        )
+    )  # fmt: skip

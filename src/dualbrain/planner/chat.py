@@ -1,0 +1,141 @@
+"""One question to a chat server over HTTP, with a total time limit, and what its answer says.
+
+Nothing here raises for what a server does: silence, errors and nonsense come back as values. Proxies and redirects are
+not followed, so that a key goes to no other host than the one that was named.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import socket
+from dataclasses import dataclass, field
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from threading import Event, Timer
+from typing import Any
+from urllib.parse import urlsplit
+
+from dualbrain.planner import protocol
+
+LARGEST_ANSWER = 1 << 20
+"""Bytes of an HTTP answer that are read; a longer one is an error."""
+
+_WHOLE = frozenset({"stop", "eos", "eos_token", "end_turn"})
+_CUT = frozenset({"length", "max_tokens"})
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error, `figures` are the server's.
+
+    `figures`: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens; only those that the server told.
+    """
+
+    text: str
+    finish: str
+    detail: str = ""
+    figures: dict[str, float] = field(default_factory=dict)
+
+
+def ask(url: str, body: dict[str, Any], *, key: str, timeout_s: float) -> Answer:
+    """POST `body` to `url` and read a chat completion from the answer, all within `timeout_s`."""
+    reply = _post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
+    if isinstance(reply, Answer):
+        return reply
+    status, data = reply
+    if status != 200:
+        return Answer("", protocol.ERROR, f"status {status} {_excerpt(data)}".strip())
+    return read_completion(data)
+
+
+def read_completion(data: bytes) -> Answer:
+    """The first choice of an OpenAI-style chat completion."""
+    try:
+        completion = json.loads(data)
+        choice = completion["choices"][0]
+        message = choice["message"]
+        content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return Answer("", protocol.ERROR, "not a chat completion")
+    figures = _figures(completion)
+    if refusal or finish == "content_filter":
+        return Answer("", protocol.REFUSAL, _excerpt(str(refusal or finish).encode()), figures)
+    if not isinstance(content, str) or not isinstance(finish, str):
+        return Answer("", protocol.ERROR, "no text in the answer", figures)
+    if finish in _CUT:
+        return Answer(content, protocol.LENGTH, figures=figures)
+    if finish not in _WHOLE:
+        return Answer("", protocol.ERROR, f"finish reason {_excerpt(finish.encode())}", figures)
+    return Answer(content, protocol.STOP, figures=figures)
+
+
+def strip_fence(text: str) -> tuple[str, bool]:
+    """`text` without the Markdown code fence around it, and whether there was one."""
+    fenced = re.fullmatch(r"\s*```[a-zA-Z]*\s*\n(.*?)\n?\s*```\s*", text, flags=re.DOTALL)
+    return (fenced.group(1), True) if fenced else (text, False)
+
+
+def _post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | Answer:
+    """Status and body of the answer. At `timeout_s` the socket is shut, however slowly bytes may be dripping in."""
+    if timeout_s <= 0:
+        return Answer("", protocol.TIMEOUT)
+    connection, late = _connection(url, timeout_s), Event()
+    timer = Timer(timeout_s, _shut, (connection, late))
+    timer.daemon = True
+    timer.start()
+    try:
+        headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
+        connection.request("POST", urlsplit(url).path, data, headers)
+        reply = connection.getresponse()
+        status, body = reply.status, reply.read(LARGEST_ANSWER + 1)
+    except TimeoutError:
+        return Answer("", protocol.TIMEOUT)
+    except (OSError, HTTPException) as error:
+        return Answer("", protocol.TIMEOUT) if late.is_set() else Answer("", protocol.ERROR, type(error).__name__)
+    finally:
+        timer.cancel()
+        connection.close()
+    if late.is_set():
+        return Answer("", protocol.TIMEOUT)
+    if len(body) > LARGEST_ANSWER:
+        return Answer("", protocol.ERROR, f"answer longer than {LARGEST_ANSWER} bytes")
+    return status, body
+
+
+def _connection(url: str, timeout_s: float) -> HTTPConnection:
+    address = urlsplit(url)
+    kind = HTTPSConnection if address.scheme == "https" else HTTPConnection
+    return kind(address.hostname or "", address.port, timeout=timeout_s)
+
+
+def _shut(connection: HTTPConnection, late: Event) -> None:
+    late.set()
+    if connection.sock is not None:
+        try:
+            connection.sock.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            return  # closed already: nobody is waiting on it
+
+
+def _figures(completion: dict[str, Any]) -> dict[str, float]:
+    """Times and token counts: llama.cpp's `timings`, else the `usage` that all servers send."""
+    timings, usage = completion.get("timings"), completion.get("usage")
+    timings, usage = timings if isinstance(timings, dict) else {}, usage if isinstance(usage, dict) else {}
+    told = {
+        "prefill": (timings.get("prompt_ms"), 1e-3),
+        "decode": (timings.get("predicted_ms"), 1e-3),
+        "prompt_tokens": (usage.get("prompt_tokens"), 1.0),
+        "cached_tokens": (timings.get("cache_n"), 1.0),
+        "output_tokens": (usage.get("completion_tokens"), 1.0),
+    }
+    return {name: value * scale for name, (value, scale) in told.items() if _is_count(value)}
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+
+
+def _excerpt(data: bytes) -> str:
+    """The beginning of a server's own words, in printable ASCII."""
+    return ascii(data[:120].decode("utf-8", "replace"))[1:-1]

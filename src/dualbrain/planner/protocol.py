@@ -1,0 +1,44 @@
+"""The one question every planner answers."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+
+STOP = "stop"
+"""The answer is whole. Every other finish reason means that there is no contract to read."""
+LENGTH = "length"
+"""The answer was cut at the token limit."""
+TIMEOUT = "timeout"
+"""No whole answer came within the time limit."""
+CRASHED = "crashed"
+"""The process that runs the model died."""
+REFUSAL = "refusal"
+"""The model or its server refused to answer."""
+ERROR = "error"
+"""The server answered with an error, or with something that is not a chat completion; the detail follows a colon."""
+
+
+class Planner(Protocol):
+    """Turns an instruction into a proposal; knows nothing of the robot and is never believed (paper 3.2)."""
+
+    @property
+    def name(self) -> str:
+        """What is recorded as the author of a proposal."""
+        ...
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """Answer `request`. Never raises for what a model or server does: that becomes the finish reason."""
+        ...
+
+    def close(self) -> None:
+        """Release the model; the planner is not used afterwards."""
+        ...
+
+
+def failed(planner: str, reason: str, *, constrained_by: str, total: float, detail: str = "") -> Proposal:
+    """A proposal without text: `reason` is one of the finish reasons above, `total` the time spent [s]."""
+    finish = f"{reason}: {detail}" if detail else reason
+    return Proposal("", finish, planner, constrained_by, {"total": total})

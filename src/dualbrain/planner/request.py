@@ -1,0 +1,27 @@
+"""What a planner is asked: everything that stands in the prompt, and the schema that its answer must follow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.records import Recall, Record
+
+
+class PlanRequest(Record, frozen=True):
+    """One question to a planner.
+
+    `instruction`, `scene` (the summary in symbols) and `recall` are untrusted text. `skills_text` is the registry in
+    short form and `schema` its decoding schema for the names in this scene. `refusal` is the gate's answer to the first
+    shot when this is the second. `contract_id` is the id that the contract must carry.
+    """
+
+    instruction: str
+    scene: str
+    recall: Recall
+    robot: str
+    registry_hash: str
+    skills_text: str
+    schema: dict[str, Any]
+    contract_id: str
+    refusal: Rejected | None = None

@@ -1,0 +1,62 @@
+"""Text from outside (people, perception, memory) made safe to stand inside a block of the prompt.
+
+A block is `<tag>`, lines, `</tag>`. Law: sanitised text holds neither `<` nor `>`, so no input can close its block, open
+another one, or spell a control token of a chat template (`<|im_end|>`, `</s>`, `<start_of_turn>`), which servers parse
+even inside a message. Square brackets go too, because some templates mark turns with `[INST]`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import unicodedata
+from typing import Any
+
+_WORDS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
+_INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
+
+
+def sanitise(text: str, *, limit: int, lines: int = 1) -> str:
+    """`text` in at most `limit` characters and `lines` lines, without control, invisible or delimiting characters.
+
+    Compatibility forms are folded first (NFKC), so that full-width brackets count as brackets. Idempotent up to the
+    length limit; a text that is cut ends in "...".
+    """
+    folded = unicodedata.normalize("NFKC", text[: 4 * limit])
+    rows = [_clean_line(row) for row in re.split(r"[\n\r\u2028\u2029]+", folded)]
+    kept = [row for row in rows if row]
+    joined = "\n".join((*kept[: lines - 1], " ".join(kept[lines - 1 :]))).strip()
+    return joined if len(joined) <= limit else joined[: max(limit - 3, 0)].rstrip() + "..."
+
+
+def block(tag: str, text: str, *, limit: int, lines: int = 1) -> str:
+    """`text` sanitised and set between `<tag>` and `</tag>`."""
+    return f"<{tag}>\n{sanitise(text, limit=limit, lines=lines) or '(empty)'}\n</{tag}>"
+
+
+def compact_json(value: Any, *, limit: int) -> str:
+    """`value` as one line of JSON in ASCII with every string in it sanitised; "" when it is not JSON or over `limit`."""
+    try:
+        text = json.dumps(_clean_value(value, limit), separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError, RecursionError):
+        return ""
+    return text if len(text) <= limit else ""
+
+
+def _clean_line(row: str) -> str:
+    for mark, word in _WORDS:
+        row = row.replace(mark, word)
+    visible = "".join(" " if unicodedata.category(c) in _INVISIBLE else c for c in row)
+    return " ".join(visible.split())
+
+
+def _clean_value(value: Any, limit: int) -> Any:
+    match value:
+        case str():
+            return sanitise(value, limit=limit)
+        case dict():
+            return {sanitise(str(key), limit=limit): _clean_value(item, limit) for key, item in value.items()}
+        case list() | tuple():
+            return [_clean_value(item, limit) for item in value]
+        case _:
+            return value

@@ -1,0 +1,48 @@
+"""Looking at a contract without a robot: the gate on a scene as it would be at the start of a run."""
+
+from __future__ import annotations
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Verdict
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.records import HalfSpace, Pose, Scene, SceneObject
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Senses
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.scene_spec import SceneSpec
+
+
+def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
+    """What the gate says of `data` for `robot` at home in front of `scene`, all three stages and the scene's rules."""
+    registry = vocabulary(robot)
+    seen = as_specified(open_scene(scene))
+    limb = limb_at_home(robot, seen)
+    gate = Gate(registry, grants(registry), scene_rules(seen, limb))
+    return gate.check(data, names=scene_names(seen), principal=PLANNER, now=0.0)
+
+
+def limb_at_home(robot: str, scene: Scene) -> Limb:
+    """An arm at its home posture that sees `scene`."""
+    body = load_body(robot)
+    safety = SafetyFilter(body)
+    limb = Limb(body, safety)
+    state = at_home(body)
+    limb.sense(Senses(state, scene, 0.0, safety.tool(state.q)))
+    return limb
+
+
+def as_specified(spec: SceneSpec) -> Scene:
+    """The scene as its specification puts it: exact poses, nothing moving."""
+    table = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+    things = (
+        SceneObject(
+            thing.name, thing.role, thing.shape, Pose(thing.position, thing.quaternion), category=thing.category,
+            colour=thing.colour, fragile_limit=thing.fragile_limit,
+        )
+        for thing in spec.things
+    )  # fmt: skip
+    return Scene(spec.robot, 0.0, 1, (table, *things), spec.places)

@@ -1,0 +1,121 @@
+"""The whole loop on one screen: words → recall → propose → gate → motion → outcome → memory (paper 3.4).
+
+Data flows one way; what seems to flow back is a value: a refusal in the second prompt, a weight read next time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.memory.posture import Posture
+from dualbrain.memory.store import Memory, StoreReport
+from dualbrain.planner.protocol import STOP, Planner
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall
+from dualbrain.runtime.local_layer import LocalLayer
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.summary import summarise
+from dualbrain.runtime.thinking import Thinking
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+
+CONTRACT_LIFE = 120.0
+"""A contract that was not accepted within this time of the question is too old [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errand:
+    """What is asked: the words, how many shots the planner has, how many memories it is shown, who it is for."""
+
+    id: str
+    started: str
+    instruction: str
+    seed: int
+    shots: int = 2
+    exemplars: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """What only a simulation has: the judgement on truth after the episode, and the versions of what ran."""
+
+    judge: Callable[[], Judgement | None]
+    versions: dict[str, str]
+
+
+def run_episode(
+    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness, *, now: float
+) -> tuple[Episode, StoreReport]:  # fmt: skip
+    """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes."""
+    registry = vocabulary(layer.body.name)
+    scene, names = layer.scene, scene_names(layer.scene)
+    summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
+    posture = Posture(tuple(layer.state.q.tolist()), layer.state.opening)
+    recall = memory.recall(
+        errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars
+    )  # fmt: skip
+    gate = Gate(registry, grants(registry), scene_rules(scene, layer.limb))
+    request = PlanRequest(
+        errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
+        registry.decoding_schema(names), contract_id="c-0001",
+    )  # fmt: skip
+    attempts: list[Attempt] = []
+    verdict: Verdict | None = None
+    for shot in range(1, errand.shots + 1):
+        asked = layer.state.stamp
+        proposal = thinking.wait_for(layer, lambda ask=request: planner.propose(ask))
+        stamp = Stamp(shot, asked, asked + CONTRACT_LIFE, PLANNER, scene.version)
+        verdict, gate_s = thinking.timed(lambda text=proposal: _check(gate, text, names, layer.state.stamp, stamp))
+        attempts.append(Attempt(proposal, verdict, gate_s))
+        layer.log.attempt(layer.state.stamp, attempts[-1])
+        layer.log.note(layer.state.stamp, "verdict", _verdict_words(shot, verdict))
+        if isinstance(verdict, Accepted):
+            break
+        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{shot + 1:04d}")
+    contract = verdict.contract if isinstance(verdict, Accepted) else None
+    outcome = layer.run(contract) if contract else Outcome("rejected", _verdict_words(len(attempts), verdict))
+    episode = Episode(
+        errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary, recall,
+        tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
+        _timings(attempts, outcome), witness.versions,
+    )  # fmt: skip
+    return episode, memory.store(episode, posture, now=now)
+
+
+def _check(gate: Gate, proposal: Proposal, names: object, now: float, stamp: Stamp) -> Verdict:
+    """The gate's word on a proposal; an answer that was cut, timed out or crashed has no contract in it."""
+    if proposal.finish_reason != STOP:
+        hint = "the answer is not whole, so it is no contract"
+        return Rejected("syntax", "", proposal.finish_reason, STOP, hint)
+    return gate.check(
+        proposal.text.encode("utf-8", "surrogatepass"), names=names, principal=PLANNER, now=now, stamp=stamp
+    )
+
+
+def _verdict_words(shot: int, verdict: Verdict | None) -> str:
+    match verdict:
+        case Accepted(contract):
+            return f"shot {shot}: accepted, " + " → ".join(action.skill for action in contract.action_sequence)
+        case Rejected(stage, pointer, got, _, hint):
+            return f"shot {shot}: rejected at {stage}, {pointer or '/'}: got {got!r}; {hint}"
+        case None:
+            return "no shot was taken"
+
+
+def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
+    """Planner, gate and motion time [s]; the planner's parts are summed over its shots."""
+    timings = {"gate": sum(attempt.gate_s for attempt in attempts), "motion": outcome.duration}
+    for attempt in attempts:
+        for part, seconds in attempt.proposal.timings.items():
+            timings[f"planner_{part}"] = timings.get(f"planner_{part}", 0.0) + seconds
+    return timings
+
+
+EMPTY = Recall()
+"""What an empty memory recalls."""

@@ -1,0 +1,175 @@
+"""A session: everything one run needs, opened in the order in which things can go wrong, closed whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from dualbrain import __version__, weights
+from dualbrain.embodiment.body import load_body
+from dualbrain.memory.encoder import MiniLmEncoder
+from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.posture import PostureLimits
+from dualbrain.memory.runs import InterruptedRun
+from dualbrain.memory.store import Memory, MemoryConfig, StoreReport
+from dualbrain.planner.prompt import template_hash
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.registry import open_planner
+from dualbrain.records import Episode
+from dualbrain.runtime.episode import Errand, Witness, run_episode
+from dualbrain.runtime.given import GivenContract
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.recorder import Recorder
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.thinking import Clock, Thinking
+from dualbrain.runtime.trace import Event, Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.native import kernel_hash
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.perception import Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import save_scene
+from dualbrain.world.task import goal_of
+
+ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
+
+
+@dataclass(frozen=True, slots=True)
+class RunConfig:
+    """What one run is: written beside its result as `config.json`."""
+
+    instruction: str
+    out: Path
+    ledger: Path
+    cache: Path
+    robot: str = "panda"
+    scene: str = "0"
+    planner: str = "qwen2.5-coder-1.5b-instruct"
+    contract: Path | None = None
+    guard: bool = True
+    seed: int = 0
+    shots: int = 2
+    measured: bool = False
+    visuals: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds)."""
+
+    clock: Clock
+    started: str
+    now: Callable[[], float]
+    pace: Callable[[float], None] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Onlooker:
+    """Who watches: events as they happen, moments of the control loop, the start of each phase."""
+
+    event: Callable[[Event], None] = lambda event: None
+    moment: Callable[[Moment], None] = lambda moment: None
+    phase: Callable[[str], None] = lambda phase: None
+
+
+@dataclass(slots=True)
+class Finished:
+    """What a run leaves: the episode, what memory changed, and the trace."""
+
+    episode: Episode
+    stored: StoreReport
+    trace: Trace
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+
+class Session:
+    """One robot, one scene, one planner, one memory."""
+
+    def __init__(self, config: RunConfig, times: Times, environ: Mapping[str, str]) -> None:
+        """Open everything; raises `MissingPart`, `InvalidSetup` or `UnknownName` before anything has moved."""
+        self.config, self.times = config, times
+        self._stack = ExitStack()
+        try:
+            self._open(environ)
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _open(self, environ: Mapping[str, str]) -> None:
+        config = self.config
+        self.body = load_body(config.robot)
+        self.spec = open_scene(config.scene)
+        encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
+        self.planner = self._open_planner(environ)
+        self._stack.callback(self.planner.close)
+        config.out.mkdir(parents=True, exist_ok=True)
+        config.ledger.parent.mkdir(parents=True, exist_ok=True)
+        ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.times.now())
+        self._stack.callback(ledger.close)
+        self.ledger = ledger
+        self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),)))
+        self.plant = Plant(self.spec, self.body, visuals=config.visuals)
+        perception = Perception(self.spec, rng=np.random.default_rng([config.seed, 1]))
+        self.world = SimulatedWorld(self.plant, perception, goal=goal_of(self.spec), pace=self.times.pace)
+        self.interrupted: tuple[InterruptedRun, ...] = ()
+
+    def _open_planner(self, environ: Mapping[str, str]) -> Planner:
+        if self.config.contract:
+            return GivenContract(f"file {self.config.contract.name}", self.config.contract.read_bytes())
+        return open_planner(self.config.planner, self.config.cache, environ=environ)
+
+    def run(self, onlooker: Onlooker) -> Finished:
+        """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
+        config, out = self.config, self.config.out
+        out.joinpath("config.json").write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        save_scene(self.spec, out / "scene.json")
+        self.interrupted = self.ledger.start_run(out.name, {"instruction": config.instruction}, now=self.times.now())
+        trace = Trace(self.body.n)
+        with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
+            log = FlightLog(trace, recorder, onlooker.event)
+            try:
+                episode, stored = self._episode(log, onlooker)
+            finally:
+                self.plant.stop()
+        out.joinpath("episode.json").write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
+        self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
+        return Finished(episode, stored, trace)
+
+    def _episode(self, log: FlightLog, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
+        config, world = self.config, self.world
+        layer = LocalLayer(
+            self.body, self.plant, world, SafetyFilter(self.body), log, LayerConfig(guard=config.guard),
+            watch=onlooker.moment, phase_changed=lambda phase, roles: (world.allow(phase, roles), onlooker.phase(phase)),
+        )  # fmt: skip
+        given = config.contract is not None
+        errand = Errand(
+            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
+        )
+        thinking = Thinking(self.times.clock, config.measured, 0.0 if given else Thinking.planning_time)
+        witness = Witness(world.judgement, self._versions())
+        return run_episode(errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now())
+
+    def _versions(self) -> dict[str, str]:
+        return {
+            "dualbrain": __version__, "kernel": kernel_hash(), "mujoco": metadata.version("mujoco"),
+            "prompt": template_hash(), "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
+        }  # fmt: skip
+
+    def __enter__(self) -> Self:
+        """The session itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close everything."""
+        self._stack.close()

@@ -1,0 +1,87 @@
+"""The simulated surroundings of a run: how the robot looks, how time passes, and who bears witness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.records import Judgement, Scene
+from dualbrain.runtime.steady import Steady
+from dualbrain.world.monitor import Monitor
+from dualbrain.world.perception import Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.task import Goal, Referee
+
+WATCH_EVERY = 50
+"""Ticks between two glances of the referee."""
+
+ALLOWANCES = {
+    "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release", "retreat": "retreat",
+}  # fmt: skip
+"""What the monitor calls the phases of our skills in which something may be touched."""
+
+
+class SimulatedWorld:
+    """A plant seen through a perception model; a monitor and a referee know the truth and say nothing before the end."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        perception: Perception,
+        *,
+        goal: Goal | None = None,
+        pace: Callable[[float], None] | None = None,
+    ) -> None:
+        """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people."""
+        self.plant, self.perception = plant, perception
+        self.monitor = Monitor(plant)
+        self._steady = Steady()
+        self._referee = Referee(plant, goal) if goal else None
+        self._pace = pace
+        self._ticks = 0
+
+    def look(self) -> Scene:
+        """The scene as perceived now, things at rest averaged over looks."""
+        scene = self._steady.update(self.perception.look(self.plant))
+        self.monitor.perceive(thing.name for thing in scene.objects)
+        return scene
+
+    def advance(self) -> None:
+        """One control period of physics, under the monitor's eyes."""
+        self.plant.advance()
+        self.monitor.tick()
+        self._ticks += 1
+        if self._referee and self._ticks % WATCH_EVERY == 0:
+            self._referee.watch()
+        if self._pace:
+            self._pace(self.plant.now)
+
+    def begin(self, contract: Contract) -> None:
+        """A contract was accepted: judge its own goal unless one was stated beforehand."""
+        goal = own_goal(contract)
+        if self._referee is None and goal is not None:
+            self._referee = Referee(self.plant, goal)
+
+    def allow(self, phase: str, roles: dict[str, str | None]) -> None:
+        """Tell the monitor which contacts the running phase is about."""
+        held = roles.get("held")
+        moving = "carry" if held else "free"
+        allowed = "lift" if phase == "rise" and held else ALLOWANCES.get(phase, moving)
+        self.monitor.allow(roles.get("target"), held, roles.get("destination"), allowed)
+
+    def judgement(self) -> Judgement:
+        """Success, progress and violations on truth; without any goal nothing can have succeeded."""
+        success, progress = self._referee.judge() if self._referee else (False, 0.0)
+        return Judgement(success, progress, self.monitor.violations())
+
+
+def own_goal(contract: Contract) -> Goal | None:
+    """The last thing that the contract grasps and then places, as a goal."""
+    thing: str | None = None
+    goal: Goal | None = None
+    for action in contract.action_sequence:
+        if action.skill == "grasp":
+            thing = str(action.params["object"])
+        elif action.skill == "place" and thing is not None:
+            goal = Goal(thing, str(action.params["destination"]))
+    return goal

@@ -1,0 +1,51 @@
+"""How time passes while the planner thinks: the control loop never waits for it.
+
+In lockstep the arm stands still for a fixed simulated time, so that results do not depend on the machine; paced, it
+stands still for as long as the planner really takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from dualbrain.runtime.local_layer import LocalLayer
+
+T = TypeVar("T")
+
+PLANNING_TIME = 2.0
+"""Simulated seconds that a decision takes in lockstep (design 8)."""
+
+
+class Clock(Protocol):
+    """A monotonic clock [s]."""
+
+    def __call__(self) -> float:
+        """Seconds since some fixed moment."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Thinking:
+    """`measured` False: lockstep. The clock only measures; it steers nothing."""
+
+    clock: Clock
+    measured: bool = False
+    planning_time: float = PLANNING_TIME
+
+    def wait_for(self, layer: LocalLayer, ask: Callable[[], T]) -> T:
+        """The answer of `ask`, called on a thread of its own while the arm stands still."""
+        with ThreadPoolExecutor(1, thread_name_prefix="planner") as pool:
+            answer: Future[T] = pool.submit(ask)
+            if not self.measured:
+                layer.hold(self.planning_time, "planning")
+            while self.measured and not answer.done():
+                layer.hold(0.02, "planning")
+            return answer.result()
+
+    def timed(self, do: Callable[[], T]) -> tuple[T, float]:
+        """The result of `do` and how long it took [s]."""
+        start = self.clock()
+        return do(), self.clock() - start

@@ -1,0 +1,74 @@
+"""Grasp orientations and extents."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.linalg import matrix
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, Pose, SceneObject, Sphere
+from dualbrain.skills import geometry
+
+yaws = st.floats(-np.pi, np.pi)
+
+
+def thing(shape, yaw=0.0, z=0.1, tilt=0.0):
+    quaternion = (
+        np.cos(yaw / 2) * np.cos(tilt / 2),
+        np.cos(yaw / 2) * np.sin(tilt / 2),
+        np.sin(yaw / 2) * np.sin(tilt / 2),
+        np.sin(yaw / 2) * np.cos(tilt / 2),
+    )
+    return SceneObject("thing", "object", shape, Pose((0.5, 0.1, z), quaternion))
+
+
+@pytest.mark.parametrize("approach", geometry.APPROACH_LEAN)
+@given(yaw=yaws, towards=yaws)
+def test_grasp_rotations_are_rotations_with_a_level_finger_axis_and_the_declared_lean(approach, yaw, towards):
+    direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    outward = np.array([np.cos(towards), np.sin(towards), 0.0])
+    for R in geometry.grasp_rotations(direction, approach, outward):
+        assert np.allclose(R.T @ R, np.eye(3), atol=1e-12)
+        assert np.isclose(np.linalg.det(R), 1.0)
+        assert np.isclose(abs(R[:, 1] @ direction), 1.0)
+        assert np.isclose(np.arccos(np.clip(-R[2, 2], -1, 1)), geometry.APPROACH_LEAN[approach], atol=1e-6)
+
+
+@given(yaw=yaws)
+def test_the_first_lean_points_away_from_the_base(yaw):
+    direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    outward = np.array([1.0, 0.0, 0.0])
+    R = geometry.grasp_rotations(direction, "side", outward)[0]
+    assert R[:, 2] @ outward >= -1e-9
+
+
+@given(yaw=yaws, tilt=st.floats(0.0, np.pi))
+def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
+    box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
+    corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
+    heights = (corners @ matrix(box.pose.quaternion).T)[:, 2] + 0.1
+    assert np.isclose(geometry.top(box), heights.max())
+    assert np.isclose(geometry.bottom(box), heights.min())
+
+
+@pytest.mark.parametrize(
+    ("shape", "top", "wide"),
+    [
+        (Sphere(0.03), 0.13, 0.06),
+        (Cylinder(0.02, 0.04), 0.14, 0.04),
+        (Capsule(0.02, 0.04), 0.16, 0.04),
+        (Bowl(0.08, 0.05, 0.004), 0.15, 0.16),
+    ],
+)
+def test_upright_extents(shape, top, wide):
+    assert np.isclose(geometry.top(thing(shape)), top)
+    assert np.isclose(geometry.width(thing(shape), "along"), wide)
+
+
+@given(yaw=yaws)
+def test_along_and_across_are_perpendicular_and_level(yaw):
+    box = thing(Box((0.02, 0.03, 0.05)), yaw)
+    along, across = geometry.finger_direction(box, "along"), geometry.finger_direction(box, "across")
+    assert np.isclose(along @ across, 0.0)
+    assert along[2] == across[2] == 0.0
+    assert np.isclose(np.linalg.norm(along), 1.0)

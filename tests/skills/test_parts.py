@@ -1,0 +1,64 @@
+"""The small parts of skills: bends, progress, people."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.linalg import quaternion
+from dualbrain.records import Capsule, Pose, Scene, SceneObject
+from dualbrain.skills.person import may_be_over
+from dualbrain.skills.progress import STANDSTILL, Progress
+from dualbrain.skills.route import NEAR_BASE, REACH, bend
+
+START, END = np.array([0.5, -0.22, 0.2]), np.array([0.5, 0.26, 0.2])
+
+
+def test_bends_pass_where_their_names_say():
+    assert bend(START, END, "direct") is None
+    near, left, right = (bend(START, END, name) for name in ("near_base", "left", "right"))
+    assert np.isclose(np.linalg.norm(near[:2]), NEAR_BASE)
+    assert left[0] < START[0] < right[0]  # travelling towards +y, left is towards -x
+    for via in (left, right):
+        assert REACH[0] - 1e-9 <= np.linalg.norm(via[:2]) <= REACH[1] + 1e-9
+
+
+def test_progress_is_patient_only_for_so_long():
+    watch = Progress(0.0, limit=100.0)
+    assert watch.stuck(0.1, 1.0) is None
+    assert watch.stuck(0.1 + STANDSTILL, 0.9) is None
+    assert watch.stuck(0.2 + 2 * STANDSTILL, 0.8999) is not None
+
+
+def test_progress_ends_at_the_time_limit_even_while_moving():
+    watch = Progress(0.0, limit=2.0)
+    assert all(watch.stuck(t, 10.0 - t) is None for t in np.arange(0.0, 2.0, 0.1))
+    assert watch.stuck(2.1, 1.0) == "out of time"
+
+
+def person(y: float, vy: float, stamp: float = 0.0) -> Scene:
+    along_x = quaternion(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+    arm = SceneObject(
+        "forearm", "person", Capsule(0.045, 0.25), Pose((0.5, y, 0.2), along_x), (0.0, vy, 0.0), stamp=stamp
+    )
+    return Scene("panda", stamp, 1, (arm,))
+
+
+def test_a_person_who_comes_is_waited_for_and_one_who_leaves_is_not():
+    spot = np.array([0.5, 0.0, 0.05])
+    assert may_be_over(person(0.6, -0.2), spot, 3.0, 0.2, 0.0)
+    assert not may_be_over(person(0.6, 0.2), spot, 3.0, 0.2, 0.0)
+    assert not may_be_over(person(0.6, 0.0), spot, 3.0, 0.2, 0.0)
+    assert may_be_over(person(0.1, 0.0), spot, 3.0, 0.2, 0.0)
+
+
+def test_an_old_sighting_is_carried_forward():
+    spot = np.array([0.5, 0.0, 0.05])
+    assert not may_be_over(person(0.6, -0.2), spot, 0.1, 0.2, 0.0)
+    assert may_be_over(person(0.6, -0.2), spot, 0.1, 0.2, 2.5)
+
+
+@given(y=st.floats(-1, 1), vy=st.floats(-0.3, 0.3), horizon=st.floats(0.1, 4.0))
+def test_a_longer_horizon_never_sees_less(y, vy, horizon):
+    spot = np.array([0.5, 0.0, 0.05])
+    if may_be_over(person(y, vy), spot, horizon, 0.2, 0.0):
+        assert may_be_over(person(y, vy), spot, horizon + 1.0, 0.2, 0.0)
