@@ -3,6 +3,9 @@
 Everything added here has group 2 and neither collides nor weighs, except materials, lights and cameras.
 """
 
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import mujoco
@@ -35,7 +38,7 @@ def colour_of(name: str) -> tuple[float, float, float, float]:
 def dress_room(root: mujoco.MjSpec, floor: float) -> None:
     """Sky, floor and table materials, lights, table legs and three cameras: front, top, side."""
     root.visual.global_.offwidth, root.visual.global_.offheight = 1280, 960
-    root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.36] * 3, [0.34] * 3
+    root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.38] * 3, [0.18] * 3
     root.visual.headlight.specular = [0.05] * 3
     root.visual.quality.shadowsize, root.visual.map.znear = 4096, 0.02
     sky = root.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
@@ -48,12 +51,14 @@ def dress_room(root: mujoco.MjSpec, floor: float) -> None:
     root.add_material(name="satin", specular=0.35, shininess=0.45)
     root.add_material(name="glass", specular=0.9, shininess=0.9)
     lamp = {"type": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL}
-    root.worldbody.add_light(name="sun", pos=[0.2, -1.2, 2.4], dir=[0.15, 0.55, -1.0], diffuse=[0.55] * 3, **lamp)
-    root.worldbody.add_light(name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp)
+    root.worldbody.add_light(name="sun", pos=[0.2, -1.2, 2.4], dir=[0.15, 0.55, -1.0], diffuse=[0.48] * 3, **lamp)
+    root.worldbody.add_light(
+        name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp
+    )
     _legs(root, floor)
-    _camera(root, "front", (1.62, -0.62, 0.86), (0.30, 0.0, 0.17), 42)
-    _camera(root, "top", (0.42, 0.0, 1.75), (0.42, 0.0, 0.0), 45, up=(1.0, 0.0, 0.0))
-    _camera(root, "side", (0.42, -1.75, 0.60), (0.36, 0.0, 0.22), 42)
+    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.22), fovy=38)
+    _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
+    _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
 
 
 def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
@@ -80,7 +85,7 @@ def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
     axis = np.array(mover.axis) / np.linalg.norm(mover.axis)
     side = np.cross([0.0, 0.0, 1.0], axis)
 
-    def rod(start: float, end: float, radius: float, colour: str, shift: float = 0.0, kind: str = "CAPSULE") -> None:
+    def rod(start: float, end: float, radius: float, colour: str, *, shift: float = 0.0, kind: str = "CAPSULE") -> None:
         a, b = axis * start + side * shift, axis * end + side * shift
         shape = getattr(_GEOM, f"mjGEOM_{kind}")
         body.add_geom(type=shape, size=[radius, 0, 0], fromto=[*a, *b], rgba=colour_of(colour), **LOOK)
@@ -89,12 +94,16 @@ def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
     rod(inner + 0.175, inner + 0.20, 0.99 * r, "sleeve", kind="CYLINDER")
     rod(inner + 0.06, inner + 0.22, 0.62 * r, "skin")
     palm = body.add_geom(
-        type=_GEOM.mjGEOM_ELLIPSOID, size=[0.052, 0.036, 0.018], pos=axis * (inner + 0.045), rgba=colour_of("skin"), **LOOK
+        type=_GEOM.mjGEOM_ELLIPSOID,
+        size=[0.052, 0.036, 0.018],
+        pos=axis * (inner + 0.045),
+        rgba=colour_of("skin"),
+        **LOOK,
     )
     palm.quat = _turn_to(axis)
     for shift in (-0.024, -0.008, 0.008, 0.024):
-        rod(inner - 0.028 + 0.4 * abs(shift), inner + 0.03, 0.0078, "skin", shift)
-    rod(inner + 0.015, inner + 0.06, 0.0085, "skin", 0.034)
+        rod(inner - 0.028 + 0.4 * abs(shift), inner + 0.03, 0.0078, "skin", shift=shift)
+    rod(inner + 0.015, inner + 0.06, 0.0085, "skin", shift=0.034)
 
 
 def _turn_to(axis: np.ndarray) -> list[float]:
@@ -107,7 +116,11 @@ def _legs(root: mujoco.MjSpec, floor: float) -> None:
     for x in (TABLE_X[0] + 0.05, TABLE_X[1] - 0.05):
         for y in (TABLE_Y[0] + 0.05, TABLE_Y[1] - 0.05):
             root.worldbody.add_geom(
-                type=_GEOM.mjGEOM_CYLINDER, size=[0.022, half, 0], pos=[x, y, floor + half], rgba=[0.32, 0.33, 0.35, 1], **LOOK
+                type=_GEOM.mjGEOM_CYLINDER,
+                size=[0.022, half, 0],
+                pos=[x, y, floor + half],
+                rgba=[0.32, 0.33, 0.35, 1],
+                **LOOK,
             )
 
 
@@ -116,6 +129,7 @@ def _camera(
     name: str,
     position: tuple[float, float, float],
     target: tuple[float, float, float],
+    *,
     fovy: float,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> None:

@@ -1,4 +1,7 @@
-"""MuJoCo Menagerie's Panda, bent to our convention: velocity drives, real grip force, named pads, gravity compensation."""
+"""MuJoCo Menagerie's Panda, bent to our convention: velocity drives, real grip force, pads, gravity compensation."""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from pathlib import Path
 
 import mujoco
 
-KV = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)
+KV = (1800.0, 1800.0, 1400.0, 1400.0, 200.0, 200.0, 200.0)
 TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 GRIP_KP, GRIP_KV = 20000.0, 140.0
 PAD = {"friction": [1.5, 0.02, 0.0001], "condim": 4, "priority": 1, "solref": [0.005, 1]}
@@ -53,8 +56,15 @@ def _pads(robot: mujoco.MjSpec, side: str) -> None:
         for key, value in PAD.items():
             setattr(geom, key, value)
     finger.add_site(
-        name=f"{side}_touch", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0, 0.0035, 0.0448], size=[0.0105, 0.006, 0.011], group=5
+        name=f"{side}_touch",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0.0035, 0.0448],
+        size=[0.0105, 0.006, 0.011],
+        group=5,
     )
     robot.add_sensor(
-        name=f"{side}_touch", type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{side}_touch"
+        name=f"{side}_touch",
+        type=mujoco.mjtSensor.mjSENS_TOUCH,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=f"{side}_touch",
     )

@@ -1,15 +1,17 @@
 """Where the robot's MuJoCo model comes from: the user's file, Menagerie when it is already here, else the built-in one.
 
 Nothing is downloaded. Whatever the source, the result obeys one convention: bodies `link0`..`link7`, `hand`,
-`left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator7` in group 1, the finger servo `gripper` in group
-2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on every moving body.
+`left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator7` in group 1, the finger servo `gripper` in
+group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on every moving body.
 """
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -43,8 +45,8 @@ def robot_model(
     """The model called `name`, from the first source that has it.
 
     `path` is a MJCF file of the user's that obeys the convention above. `menagerie` is a checkout of MuJoCo Menagerie
-    (the caller reads MENAGERIE_ROOT); a warm cache of the package `mujoco_menagerie` is used only where `menagerie` names
-    it. Without either the built-in model is taken. `visuals` adds surface meshes, which change no physics.
+    or a warm cache folder of its downloader (the caller reads MENAGERIE_ROOT). Without either the built-in model is
+    taken. `visuals` adds surface meshes, which change no physics.
     Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
     """
     if name not in MODELS:
@@ -66,13 +68,8 @@ def robot_model(
 
 def strip_visuals(spec: mujoco.MjSpec) -> None:
     """Delete the geoms of group 2 (looks only); for batch runs."""
-    for geom in [geom for geom in spec.geoms if geom.group == 2]:  # noqa: PLR2004
+    for geom in [geom for geom in spec.geoms if geom.group == 2]:
         spec.delete(geom)
-
-
-def menagerie_installed() -> bool:
-    """Whether the downloader package is importable (it is never called from here)."""
-    return find_spec("mujoco_menagerie") is not None
 
 
 def _built_in(name: str) -> mujoco.MjSpec:

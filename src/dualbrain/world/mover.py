@@ -1,8 +1,9 @@
 """The person's forearm: a path over time, and the bounded push that follows it.
 
-The body weighs 5 kg and slides on three axes. A spring and damper pull it to the path, k (p* − p) + c (v* − v), each axis
-bounded to F/√3, so that the total push never exceeds F (150 N): contact forces mean something, unlike with a body of
-infinite mass. MuJoCo computes the force (a position actuator with `forcerange`); this file gives the set point.
+The body weighs 5 kg and slides on three axes. A spring and damper pull it to the path, k (p* − p) + c (v* − v), each
+axis bounded to F/√3, so that the total push never exceeds F (150 N): contact forces mean something, unlike with a
+body of infinite mass. MuJoCo computes the force (a position actuator with `forcerange`); this file gives the set
+point.
 """
 
 from __future__ import annotations

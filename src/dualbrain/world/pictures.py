@@ -4,6 +4,9 @@ The caller chooses the GL back end through the environment variable MUJOCO_GL (o
 Shadows cost most of the time in software rendering and are off unless asked for.
 """
 
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from types import TracebackType
@@ -31,7 +34,7 @@ class Camera:
         except Exception as error:
             raise MissingPart(
                 "A GL library for offscreen pictures",
-                fix=f"On Debian: apt-get install --no-install-recommends {PACKAGES}; then set MUJOCO_GL=osmesa or egl. ({error})",
+                fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({error})",
             ) from error
         flags = self._renderer.scene.flags
         flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
@@ -54,6 +57,8 @@ class Camera:
         """Itself."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """Close."""
         self.close()

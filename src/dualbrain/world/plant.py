@@ -1,9 +1,13 @@
 """The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
 
-One `advance()` is one control period of 1 ms. Joint velocity goes straight to MuJoCo's velocity actuators, torque-limited
-by `forcerange`; the gripper's force limit F is set with each command (the two fingers share one servo of 2 F). When the
-drive is disabled the motors lose torque and gravity compensation, and dry-friction brakes hold each joint.
+One `advance()` is one control period of 1 ms. Joint velocity goes straight to MuJoCo's velocity actuators,
+torque-limited by `forcerange`; the gripper's force limit F is set with each command (the two fingers share one servo
+of 2 F). When the drive is disabled the motors lose torque and gravity compensation, and dry-friction brakes hold each
+joint.
 """
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -32,14 +36,22 @@ SERVO_STIFFNESS = 20000.0  # [N/m] of the finger servo (kp in the model)
 class Plant:
     """A MuJoCo world that is driven like the real robot; also holds the truth that only judges may read."""
 
-    def __init__(self, spec: SceneSpec, body: Body, *, visuals: bool = False, model_file: Path | None = None) -> None:
+    def __init__(
+        self,
+        spec: SceneSpec,
+        body: Body,
+        *,
+        visuals: bool = False,
+        model_file: Path | None = None,
+        menagerie: Path | None = None,
+    ) -> None:
         """Build the scene with the arm at `body.home`, drive enabled, fingers open.
 
-        `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file` is a
-        robot model of the user's.
+        `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file`
+        and `menagerie` name other robot models (see `model_provider.robot_model`).
         """
         self.spec, self.body = spec, body
-        robot = robot_model(spec.robot, path=model_file, visuals=visuals)
+        robot = robot_model(spec.robot, path=model_file, menagerie=menagerie, visuals=visuals)
         self.model_source, self.has_visuals = robot.source, robot.has_visuals
         self.model = build_model(spec, robot)
         self.data = mujoco.MjData(self.model)
@@ -57,8 +69,8 @@ class Plant:
         left, right = data.sensordata[self._touch].tolist()
         self._sequence += 1
         return RobotState(
-            data.time, self._sequence, data.qpos[self._arm].copy(), data.qvel[self._dof].copy(), self._opening(), (left, right),
-            self._enabled,
+            data.time, self._sequence, data.qpos[self._arm].copy(), data.qvel[self._dof].copy(), self._opening(),
+            (left, right), self._enabled,
         )  # fmt: skip
 
     def write(self, command: Command) -> None:
@@ -100,7 +112,9 @@ class Plant:
         data.ctrl[self._grip] = self._finger
         if self._path is not None:
             distance, rate = self._path.at(data.time)
-            data.ctrl[self._mover_drives] = (distance + rate * DAMPING / STIFFNESS - self._mover_zero) * self._path.direction
+            data.ctrl[self._mover_drives] = (
+                distance + rate * DAMPING / STIFFNESS - self._mover_zero
+            ) * self._path.direction
         mujoco.mj_step(self.model, data)
 
     @property
@@ -131,6 +145,11 @@ class Plant:
         body = int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name))
         mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, motion, 0)
         return motion[3:]
+
+    @property
+    def arm_slices(self) -> tuple[slice, slice]:
+        """Where the arm's joints lie in MuJoCo's qpos and qvel."""
+        return self._arm, self._dof
 
     def tool_pose(self) -> tuple[Array, Array]:
         """True position (3,) and rotation (3, 3) of the tool frame."""

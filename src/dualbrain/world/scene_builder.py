@@ -1,9 +1,12 @@
 """A `SceneSpec` becomes a MuJoCo model: room, table, things, forearm, robot.
 
-Physics settings: 1 ms, implicitfast, elliptic friction cone, impratio 10 (contact-only grasping needs them). They are set
-on the root spec because attaching keeps the parent's. Geom groups: 0 room, 1 things, 2 looks only, 3 hidden collision
-shapes. Robot names carry the prefix `robot/`.
+Physics settings: 1 ms, implicitfast, elliptic friction cone, impratio 10 (contact-only grasping needs them). They are
+set on the root spec because attaching keeps the parent's. Geom groups: 0 room, 1 things, 2 looks only, 3 hidden
+collision shapes. Robot names carry the prefix `robot/`.
 """
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -124,7 +127,7 @@ def add_mover(root: mujoco.MjSpec, mover: Mover) -> None:
         drive.set_to_position(kp=STIFFNESS, kv=DAMPING)
     reach = mover.half_length * np.array(mover.axis) / np.linalg.norm(mover.axis)
     body.add_geom(
-        name=mover.name, type=_GEOM.mjGEOM_CAPSULE, size=[mover.radius, 0, 0], fromto=[*-reach, *reach], mass=mover.mass,
-        rgba=colour_of("skin"), group=3, friction=[0.6, 0.005, 0.0001],
+        name=mover.name, type=_GEOM.mjGEOM_CAPSULE, size=[mover.radius, 0, 0], fromto=[*-reach, *reach],
+        mass=mover.mass, rgba=colour_of("skin"), group=3, friction=[0.6, 0.005, 0.0001],
     )  # fmt: skip
     forearm_look(body, mover)

@@ -41,8 +41,8 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A person's forearm: a capsule that goes from `start` to `end` [m] and back, resting at both ends.
 
     It travels at `speed` [m/s], rests `pause` [s] at each end and at t = 0 is `phase` [s] into its cycle, which begins
-    with the rest at `start`. The capsule's axis is `axis`, its centre follows the path; it weighs `mass` [kg] and pushes
-    with at most `force` [N].
+    with the rest at `start`. The capsule's axis is `axis`, its centre follows the path; it weighs `mass` [kg] and
+    pushes with at most `force` [N].
     """
 
     start: Vector

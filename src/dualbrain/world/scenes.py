@@ -1,9 +1,9 @@
 """Seeded scenes by family: what stands on the table, where, and who crosses it.
 
 Every family has the same errand in it (a red cube at the right, a blue bowl at the left), so that what differs is the
-hazard. Inside a family the seed moves the neighbour's side, height and gap, the shelf and the person's phase, so that no
-fixed contract is best. Gaps of 2-4 cm occur only on the side chosen as "across the fingers" and beside things lower than
-the hand; everywhere else 4-8 cm.
+hazard. Inside a family the seed moves the neighbour's side, height and gap, the shelf and the person's phase, so that
+no fixed contract is best. Gaps of 2-4 cm occur only on the side chosen as "across the fingers" and beside things
+lower than the hand; everywhere else 4-8 cm.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from dualbrain.world.scene_spec import (
 )
 
 __all__ = [
-    "FAMILIES", "TABLE_X", "TABLE_Y", "Mover", "SceneSpec", "Thing", "check_scene", "load_scene", "make_scene", "save_scene",
+    "FAMILIES", "TABLE_X", "TABLE_Y", "Mover", "SceneSpec", "Thing", "check_scene", "load_scene", "make_scene",
+    "save_scene",
 ]  # fmt: skip
 
 PLACES = (
@@ -114,7 +115,7 @@ def _bare(draft: _Draft) -> None:
 def _tabletop(draft: _Draft) -> None:
     """The everyday table: one neighbour beside the cube, three to five more things about."""
     _errand(draft)
-    _neighbour(draft, draft.rng.choice(["low", "low", "hand_high"]))
+    _neighbour(draft, _one(draft.rng, "low", "low", "hand_high"))
     _scatter(draft, int(draft.rng.integers(3, 6)), ("low", "hand_high"))
 
 
@@ -130,7 +131,7 @@ def _tall(draft: _Draft) -> None:
 def _shelf(draft: _Draft) -> None:
     """A board above the way to the bowl (absent once in five), low things below."""
     _errand(draft)
-    _neighbour(draft, draft.rng.choice(["low", "hand_high"]))
+    _neighbour(draft, _one(draft.rng, "low", "hand_high"))
     if draft.rng.random() < 0.8:
         _board(draft)
     _scatter(draft, 2, ("low",))
@@ -139,7 +140,7 @@ def _shelf(draft: _Draft) -> None:
 def _forearm(draft: _Draft) -> None:
     """A person's forearm sweeps between cube and bowl; a few things stand about."""
     _errand(draft)
-    _neighbour(draft, draft.rng.choice(["low", "hand_high"]))
+    _neighbour(draft, _one(draft.rng, "low", "hand_high"))
     _scatter(draft, int(draft.rng.integers(1, 4)), ("low", "hand_high"))
     draft.mover = _sweep(draft.rng)
 
@@ -161,9 +162,12 @@ def _fragile(draft: _Draft) -> None:
     x, y = _spot(draft, (0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
     limit = round(float(rng.uniform(15.0, 25.0)), 1)
     draft.add(
-        Thing("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8, fragile_limit=limit)
+        Thing(
+            "clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass",
+            friction=0.8, fragile_limit=limit,
+        )
     )  # fmt: skip
-    _neighbour(draft, draft.rng.choice(["low", "hand_high"]))
+    _neighbour(draft, _one(draft.rng, "low", "hand_high"))
     _scatter(draft, int(rng.integers(1, 3)), ("low",))
 
 
@@ -202,23 +206,25 @@ def _neighbour(draft: _Draft, height: Height) -> None:
     rng, cube = draft.rng, draft.things[0]
     face = int(rng.integers(4))
     narrow = height == "low" and rng.random() < 0.5
-    gap = rng.uniform(0.02, 0.04) if narrow else rng.uniform(0.055, 0.08) if height == "tall" else rng.uniform(0.04, 0.08)
+    gap = (
+        rng.uniform(0.02, 0.04) if narrow else rng.uniform(0.055, 0.08) if height == "tall" else rng.uniform(0.04, 0.08)
+    )
     yaw = 2.0 * float(np.arctan2(cube.quaternion[3], cube.quaternion[0])) + face * np.pi / 2
     shape, category = _shape(rng, height)
     away = CUBE.half_extents[0] + gap + _half_width(shape)
     x, y = cube.position[0] + away * np.cos(yaw), cube.position[1] + away * np.sin(yaw)
-    _put(draft, shape, category, x, y, yaw)
+    _put(draft, shape, category, (x, y), yaw)
 
 
 def _scatter(draft: _Draft, count: int, heights: tuple[Height, ...]) -> None:
     for _ in range(count):
-        _stand(draft, draft.rng.choice(list(heights)), x=(0.34, 0.70), y=(-0.36, 0.40), gap=0.06)
+        _stand(draft, _one(draft.rng, *heights), x=(0.34, 0.70), y=(-0.36, 0.40), gap=0.06)
 
 
 def _stand(draft: _Draft, height: Height, x: tuple[float, float], y: tuple[float, float], gap: float) -> None:
     shape, category = _shape(draft.rng, height)
     at = _spot(draft, x, y, footprint(shape), gap)
-    _put(draft, shape, category, *at, draft.rng.uniform(-np.pi, np.pi))
+    _put(draft, shape, category, at, draft.rng.uniform(-np.pi, np.pi))
 
 
 def _spot(
@@ -233,15 +239,15 @@ def _spot(
     return (x[0], y[0])
 
 
-def _put(draft: _Draft, shape: Shape, category: str, x: float, y: float, yaw: float) -> None:
+def _put(draft: _Draft, shape: Box | Cylinder, category: str, at: tuple[float, float], yaw: float) -> None:
     name, colour = draft.name(category)
-    half = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height  # type: ignore[union-attr]
-    position: Vector = (float(x), float(y), float(half))
+    half = shape.half_extents[2] if isinstance(shape, Box) else shape.half_height
+    position: Vector = (float(at[0]), float(at[1]), float(half))
     mass = float(draft.rng.uniform(0.12, 0.30))
     draft.add(Thing(name, "object", shape, position, round(mass, 3), colour, category, turned(yaw)))
 
 
-def _shape(rng: np.random.Generator, height: Height) -> tuple[Shape, str]:
+def _shape(rng: np.random.Generator, height: Height) -> tuple[Box | Cylinder, str]:
     category = str(rng.choice(list(CATEGORIES[height])))
     half = float(rng.uniform(*HEIGHTS[height])) / 2
     if category in ROUND:
@@ -249,7 +255,11 @@ def _shape(rng: np.random.Generator, height: Height) -> tuple[Shape, str]:
     return Box((float(rng.uniform(0.018, 0.026)), float(rng.uniform(0.018, 0.030)), half)), category
 
 
-def _half_width(shape: Shape) -> float:
+def _one(rng: np.random.Generator, *heights: Height) -> Height:
+    return heights[int(rng.integers(len(heights)))]
+
+
+def _half_width(shape: Box | Cylinder) -> float:
     """Half the extent along local x, the face that is turned to the cube."""
     return shape.half_extents[0] if isinstance(shape, Box) else footprint(shape)
 
@@ -272,7 +282,12 @@ def _fixed(name: str, shape: Box, position: tuple[float, ...]) -> Thing:
 
 def _sweep(rng: np.random.Generator) -> Mover:
     """Across the table in y at 14-20 cm height, resting at both ends; the phase covers the whole cycle."""
-    tip, z, speed, pause = rng.uniform(0.44, 0.50), rng.uniform(0.14, 0.20), rng.uniform(0.12, 0.18), rng.uniform(2.0, 4.0)
+    tip, z, speed, pause = (
+        rng.uniform(0.44, 0.50),
+        rng.uniform(0.14, 0.20),
+        rng.uniform(0.12, 0.18),
+        rng.uniform(2.0, 4.0),
+    )
     side = 0.50 if rng.random() < 0.5 else -0.50
     x = float(tip) + 0.25 + 0.045
     cycle = 2.0 * (float(pause) + 1.0 / float(speed))

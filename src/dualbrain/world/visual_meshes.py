@@ -1,8 +1,12 @@
 """The robot's look: coloured surface meshes of the Panda, read from the optional package `example-robot-data`.
 
-The package holds COLLADA (.dae) files, which MuJoCo does not read. Only the small part of COLLADA that these files use is
-read here: triangle lists with positions and normals, one diffuse colour per list, one rigid placement per node.
+The package holds COLLADA (.dae) files, which MuJoCo does not read. Only the small part of COLLADA that these files
+use is read here: triangle lists, one diffuse colour per list, one rigid placement per node. MuJoCo smooths the
+surface by itself.
 """
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -22,17 +26,15 @@ _NS = "{http://www.collada.org/2005/11/COLLADASchema}"
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Triangles of one colour: points (k, 3) [m], normals (j, 3), and for each triangle the rows of both (t, 3)."""
+    """Triangles of one colour: `points` (k, 3) [m] and for each triangle the rows of its corners, `faces` (t, 3)."""
 
     colour: tuple[float, float, float]
     points: NDArray[np.float32]
-    normals: NDArray[np.float32]
     faces: NDArray[np.int32]
-    normal_faces: NDArray[np.int32]
 
 
 def mesh_folder(kind: str = "visual") -> Path | None:
-    """Folder of the Panda's `visual` (.dae) or `collision` (.stl) meshes, or None where the package is not installed."""
+    """Folder of the Panda's `visual` (.dae) or `collision` (.stl) meshes; None where the package is not installed."""
     try:
         found = Path(str(metadata.distribution("example-robot-data").locate_file(FOLDER))) / kind
     except metadata.PackageNotFoundError:
@@ -46,8 +48,7 @@ def add_visuals(robot: mujoco.MjSpec, folder: Path) -> None:
         bodies = ("left_finger", "right_finger") if name == "finger" else (name,)
         for index, patch in enumerate(read_patches(folder / f"{name}.dae")):
             mesh = robot.add_mesh(name=f"{name}_{index}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-            mesh.uservert, mesh.usernormal = patch.points.ravel(), patch.normals.ravel()
-            mesh.userface, mesh.userfacenormal = patch.faces.ravel(), patch.normal_faces.ravel()
+            mesh.uservert, mesh.userface = patch.points.ravel(), patch.faces.ravel()
             material = _material(robot, patch.colour)
             for body in bodies:
                 robot.body(body).add_geom(
@@ -69,45 +70,39 @@ def read_patches(path: Path) -> tuple[Patch, ...]:
     return tuple(_join(same) for same in parts.values())
 
 
-def _patch(geometry: ET.Element, triangles: ET.Element, place: NDArray[np.float64], colour: tuple) -> Patch:
-    inputs = {item.get("semantic"): item for item in triangles.findall(f"{_NS}input")}
-    stride = 1 + max(int(item.get("offset", "0")) for item in inputs.values())
-    vertices = geometry.find(f".//{_NS}vertices/{_NS}input[@semantic='POSITION']")
-    points = _source(geometry, vertices) @ place[:3, :3].T + place[:3, 3]
-    normals = _source(geometry, inputs["NORMAL"]) @ place[:3, :3].T
+def _patch(
+    geometry: ET.Element,
+    triangles: ET.Element,
+    place: NDArray[np.float64],
+    colour: tuple[float, float, float],
+) -> Patch:
+    inputs = {item.get("semantic"): int(item.get("offset", "0")) for item in triangles.findall(f"{_NS}input")}
+    stride = 1 + max(inputs.values())
+    points = _positions(geometry) @ place[:3, :3].T + place[:3, 3]
     rows = np.array(triangles.findtext(f"{_NS}p", "").split(), np.int32).reshape(-1, 3, stride)
-    of_point, of_normal = (int(inputs[kind].get("offset", "0")) for kind in ("VERTEX", "NORMAL"))
-    return Patch(
-        colour, points.astype(np.float32), normals.astype(np.float32), rows[:, :, of_point], rows[:, :, of_normal]
-    )
+    return Patch(colour, points.astype(np.float32), rows[:, :, inputs["VERTEX"]])
 
 
 def _join(patches: list[Patch]) -> Patch:
-    first_point = np.cumsum([0, *(len(patch.points) for patch in patches)])
-    first_normal = np.cumsum([0, *(len(patch.normals) for patch in patches)])
-    return Patch(
-        patches[0].colour,
-        np.vstack([patch.points for patch in patches]),
-        np.vstack([patch.normals for patch in patches]),
-        np.vstack([patch.faces + start for patch, start in zip(patches, first_point, strict=False)]).astype(np.int32),
-        np.vstack([patch.normal_faces + start for patch, start in zip(patches, first_normal, strict=False)]).astype(
-            np.int32
-        ),
-    )
+    first = np.cumsum([0, *(len(patch.points) for patch in patches)])[:-1]
+    faces = [patch.faces + start for patch, start in zip(patches, first, strict=True)]
+    points = np.vstack([patch.points for patch in patches])
+    return Patch(patches[0].colour, points, np.vstack(faces).astype(np.int32))
 
 
-def _source(geometry: ET.Element, reference: ET.Element | None) -> NDArray[np.float64]:
-    name = "" if reference is None else reference.get("source", "").lstrip("#")
+def _positions(geometry: ET.Element) -> NDArray[np.float64]:
+    vertices = geometry.find(f".//{_NS}vertices/{_NS}input[@semantic='POSITION']")
+    name = "" if vertices is None else vertices.get("source", "").lstrip("#")
     text = geometry.findtext(f".//{_NS}source[@id='{name}']/{_NS}float_array", "")
     return np.array(text.split(), np.float64).reshape(-1, 3)
 
 
 def _colours(root: ET.Element) -> dict[str, tuple[float, float, float]]:
-    """Diffuse colour by material id (bright green and red marks in the files are tinted grey: they are not for eyes)."""
+    """Diffuse colour by material id."""
     diffuse = {
-        effect.get("id", ""): np.array(
-            effect.findtext(f".//{_NS}diffuse/{_NS}color", "1 1 1 1").split(), np.float64
-        )[:3].round(2)
+        effect.get("id", ""): np.array(effect.findtext(f".//{_NS}diffuse/{_NS}color", "1 1 1 1").split(), np.float64)[
+            :3
+        ].round(2)
         for effect in root.iter(f"{_NS}effect")
     }
     found = {}
@@ -130,6 +125,6 @@ def _placements(root: ET.Element) -> dict[str, NDArray[np.float64]]:
 def _material(robot: mujoco.MjSpec, colour: tuple[float, float, float]) -> str:
     name = "shell_" + "_".join(f"{int(100 * part)}" for part in colour)
     if robot.material(name) is None:
-        shade = tuple(0.93 * part + 0.02 for part in colour)
+        shade = tuple(0.86 * part + 0.02 for part in colour)
         robot.add_material(name=name, rgba=(*shade, 1.0), specular=0.4, shininess=0.5, reflectance=0.0)
     return name
