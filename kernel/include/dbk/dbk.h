@@ -1,0 +1,189 @@
+/* dualbrain kernel: one step of a control barrier function filter, in C99.
+ *
+ * No heap, no recursion, no globals, no libm. The caller owns every byte: `model` and `scene` are read only in a step,
+ * `ctx` carries the last control and the warm start. All values are SI; frames are the body's base frame, z up.
+ *
+ *   min 1/2 (u - u_nom)' R (u - u_nom)   subject to   A u >= b,   lo <= u <= hi                   (paper 4.3)
+ */
+#ifndef DBK_H
+#define DBK_H
+
+#include <stdint.h>
+
+#include "dbk/dbk_config.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum { DBK_SAFE, DBK_MODIFIED, DBK_RELAXED, DBK_STOPPED, DBK_FAULT } dbk_status;
+
+/* why a step ended as it did; several may be set */
+enum {
+  DBK_BAD_INPUT = 1,      /* a number is not finite */
+  DBK_STALE_STATE = 2,    /* the joint state is too old, or from the future */
+  DBK_STALE_SCENE = 4,    /* moving obstacles were seen too long ago */
+  DBK_OUTSIDE = 8,        /* a joint is far outside its limits */
+  DBK_ROW_OVERFLOW = 16,  /* more rows could bind than there is room for */
+  DBK_NO_GRADIENT = 32,   /* h < 0 and no joint can change it */
+  DBK_QP_ITERATIONS = 64, /* the QP did not end within its cap */
+  DBK_INFEASIBLE = 128,   /* no control meets all rows within the box */
+  DBK_BAD_SCENE = 256,    /* the obstacle table holds a number that is not finite */
+  DBK_UNCERTIFIED = 512,  /* the next step would not keep h >= 0, even when braking */
+  DBK_UNAVOIDABLE = 1024  /* something moves at a part of the body that cannot move away */
+};
+
+enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* a sphere is a capsule of length 0 */
+enum { DBK_KNOWN = 1, DBK_STATIC = 2 };
+enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER };
+
+typedef struct {
+  int32_t n; /* joints */
+  dbk_real period, alpha, recovery, sampling, rounding, self_margin, lag, tracking; /* s, 1/s, m/s, m, m, m, s, rad/s */
+  dbk_real state_age_max, scene_age_max;                                            /* s */
+  dbk_real joint_rotation[DBK_MAX_DOF][9], joint_offset[DBK_MAX_DOF][3];            /* row-major; parent <- joint at q = 0 */
+  dbk_real q_lower[DBK_MAX_DOF], q_upper[DBK_MAX_DOF], v_max[DBK_MAX_DOF], a_max[DBK_MAX_DOF];
+  dbk_real scale[DBK_MAX_DOF][DBK_MAX_DOF]; /* S = L^-T with R = L L': u = u_nom + S x, cost |x|^2 / 2 */
+  dbk_real tool_rotation[9], tool_offset[3];
+  int32_t n_links, n_spheres, n_pairs, n_held_links;
+  int32_t link_frame[DBK_MAX_LINKS], link_first[DBK_MAX_LINKS + 1]; /* spheres of a link lie side by side */
+  int32_t pair[DBK_MAX_PAIRS][2];                                   /* links that are kept apart */
+  int32_t held_link[DBK_MAX_LINKS];                                 /* links that a held object is kept apart from */
+  dbk_real x[DBK_MAX_SPHERES], y[DBK_MAX_SPHERES], z[DBK_MAX_SPHERES], radius[DBK_MAX_SPHERES]; /* in the link's frame */
+  dbk_real slide_x[DBK_MAX_SPHERES], slide_y[DBK_MAX_SPHERES], slide_z[DBK_MAX_SPHERES]; /* shift per metre of opening */
+  /* filled by dbk_prepare */
+  dbk_real reach[DBK_MAX_DOF][DBK_ALL_SPHERES]; /* longest lever arm of joint k on a sphere, any posture [m] */
+} dbk_model;
+
+typedef struct {
+  int32_t shape, flags;
+  dbk_real position[3], rotation[9]; /* columns are the local axes */
+  dbk_real half[3], radius;          /* capsule: half[2] is the half length */
+  dbk_real velocity[3], margin, velocity_error;
+} dbk_obstacle;
+
+typedef struct {
+  int32_t ready; /* set by dbk_scene_prepare */
+  int32_t n_obstacles, n_held, moving;
+  dbk_obstacle obstacle[DBK_MAX_OBSTACLES];
+  dbk_real permit[DBK_ALL_LINKS][DBK_MAX_OBSTACLES]; /* contact speed [m/s] where contact is permitted, else < 0 */
+  dbk_real held_x[DBK_MAX_HELD], held_y[DBK_MAX_HELD], held_z[DBK_MAX_HELD], held_r[DBK_MAX_HELD]; /* in the last frame */
+  dbk_real held_error;
+} dbk_scene;
+
+typedef struct {
+  dbk_real q[DBK_MAX_DOF], v[DBK_MAX_DOF], u_nom[DBK_MAX_DOF];
+  dbk_real opening, state_age, scene_age;
+} dbk_in;
+
+typedef struct {
+  int32_t kind, i, j; /* obstacle row: sphere, obstacle; self row: sphere, sphere; box: joint */
+  dbk_real h, multiplier;
+} dbk_active;
+
+typedef struct {
+  dbk_real u[DBK_MAX_DOF];
+  dbk_real delta, delta_rows, delta_box, h_min;
+  int32_t status, flags, certified, iterations, n_rows, n_active;
+  dbk_active active[DBK_QP_DIM + 1]; /* binding rows, or the conflicting ones when relaxed */
+} dbk_out;
+
+/* chain: frame 0 is the base, frame i moves with joint i */
+typedef struct {
+  dbk_real rotation[DBK_MAX_DOF + 1][9], origin[DBK_MAX_DOF + 1][3];
+} dbk_frames;
+
+/* rows, one array per joint so that loops over rows vectorise */
+typedef struct {
+  int32_t count, overflow, stuck, unavoidable;
+  dbk_real a[DBK_MAX_DOF][DBK_MAX_ROWS], b[DBK_MAX_ROWS]; /* unit rows */
+  dbk_real h[DBK_MAX_ROWS], norm[DBK_MAX_ROWS];
+  dbk_real nx[DBK_MAX_ROWS], ny[DBK_MAX_ROWS], nz[DBK_MAX_ROWS], mx[DBK_MAX_ROWS], my[DBK_MAX_ROWS], mz[DBK_MAX_ROWS];
+  dbk_real soft[DBK_MAX_ROWS];
+  int32_t from[DBK_MAX_ROWS], upto[DBK_MAX_ROWS];         /* joints from..upto-1 move the pair */
+  int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
+} dbk_rows;
+
+/* pairs of (link, obstacle) and (link, link) that were looked at sphere by sphere: what the certificate looks at again */
+typedef struct {
+  int32_t count;
+  int16_t link[DBK_ALL_LINKS * DBK_MAX_OBSTACLES + DBK_MAX_PAIRS + DBK_MAX_LINKS];
+  int16_t other[DBK_ALL_LINKS * DBK_MAX_OBSTACLES + DBK_MAX_PAIRS + DBK_MAX_LINKS]; /* obstacle, or -1 - link */
+} dbk_visits;
+
+typedef struct {
+  dbk_real x[DBK_ALL_SPHERES], y[DBK_ALL_SPHERES], z[DBK_ALL_SPHERES], r[DBK_ALL_SPHERES];
+  int32_t count;
+} dbk_cloud;
+
+/* how sphere centres move under the middle of the box, and how much the box can change that */
+typedef struct {
+  dbk_real vx[DBK_ALL_SPHERES], vy[DBK_ALL_SPHERES], vz[DBK_ALL_SPHERES];
+  dbk_real ax[DBK_ALL_SPHERES], ay[DBK_ALL_SPHERES], az[DBK_ALL_SPHERES];
+  dbk_real spread[DBK_ALL_SPHERES];
+  dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
+  dbk_real speed[DBK_ALL_LINKS]; /* no sphere of the link can be faster within the box */
+} dbk_motion;
+
+typedef struct {
+  int32_t n, n_active, iterations, infeasible; /* infeasible: active[] and multiplier[] are the Farkas certificate */
+  int32_t active[DBK_QP_DIM + 1];              /* 0..n-1 lower bounds, n..2n-1 upper bounds, 2n.. rows */
+  dbk_real multiplier[DBK_QP_DIM + 1];
+  dbk_real u[DBK_MAX_DOF], slack;
+} dbk_solution;
+
+typedef struct {
+  dbk_real u_prev[DBK_MAX_DOF], u_nom_prev[DBK_MAX_DOF];
+  int32_t n_warm, warm[DBK_QP_DIM][3]; /* kind, i, j of the rows that were active */
+  /* work of one step */
+  dbk_frames frames;
+  dbk_cloud cloud, next;
+  dbk_motion motion;
+  dbk_rows rows;
+  dbk_visits visits;
+  dbk_solution solution;
+  dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], h_min;
+} dbk_ctx;
+
+/* once per model and per scene */
+void dbk_prepare(dbk_model *model);
+void dbk_scene_prepare(dbk_scene *scene);
+void dbk_scene_clear(dbk_scene *scene);
+void dbk_init(dbk_ctx *ctx);
+
+/* one control step: closest safe control to u_nom; out->u is always finite and within the acceleration box */
+dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in, dbk_out *out);
+
+/* the same rows on known obstacles with `extra` clearance and the box around u_prev; no certificate, no memory of u */
+dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                       const dbk_real u_prev[DBK_MAX_DOF], dbk_real extra, dbk_real u[DBK_MAX_DOF]);
+
+/* parts, public for tests */
+void dbk_sincos(dbk_real x, dbk_real *sine, dbk_real *cosine);
+void dbk_fk(const dbk_model *model, const dbk_real q[DBK_MAX_DOF], dbk_frames *frames);
+void dbk_spheres(const dbk_model *model, const dbk_scene *scene, const dbk_frames *frames, dbk_real opening,
+                 dbk_cloud *cloud);
+void dbk_jacobian(const dbk_model *model, const dbk_frames *frames, const dbk_real point[3], dbk_real linear[3][DBK_MAX_DOF],
+                  dbk_real angular[3][DBK_MAX_DOF]);
+void dbk_distance(const dbk_obstacle *shape, int32_t count, const dbk_real *x, const dbk_real *y, const dbk_real *z,
+                  dbk_real *d, dbk_real *nx, dbk_real *ny, dbk_real *nz);
+void dbk_box(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
+             dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF], int32_t *conflict);
+void dbk_brake(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
+void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx);
+void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
+                    int32_t known_only);
+void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx);
+/* 0 solved, 1 infeasible, 2 iteration cap */
+int32_t dbk_qp(const dbk_rows *rows, int32_t n, const dbk_real scale[DBK_MAX_DOF][DBK_MAX_DOF],
+               const dbk_real lower[DBK_MAX_DOF], const dbk_real upper[DBK_MAX_DOF], const dbk_real u_nom[DBK_MAX_DOF],
+               int32_t with_slack, dbk_real shift, const int32_t *warm, int32_t n_warm, dbk_solution *solution);
+int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF], const dbk_real upper[DBK_MAX_DOF],
+                  const dbk_real u[DBK_MAX_DOF], dbk_real tolerance);
+int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                    const dbk_real u[DBK_MAX_DOF]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

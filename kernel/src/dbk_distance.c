@@ -1,0 +1,102 @@
+/* Signed distance from points to the surface of one shape, and its outward unit normal, which is the gradient.
+ *
+ * All three shapes are convex, so that the distance is a convex function of the point: along a straight line it never
+ * falls below its tangent. Inside a shape the normal points to the nearest way out, so that a row made from it recovers.
+ */
+#include "dbk_math.h"
+
+#define TINY ((dbk_real)1e-6) /* [m] nearer than this the direction is rounding noise */
+
+/* segment of half length half[2] along local z, with a radius; half length 0 is a sphere */
+static void to_capsule(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
+                       const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
+                       dbk_real *restrict nz) {
+  const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
+  const dbk_real ax = o->rotation[2], ay = o->rotation[5], az = o->rotation[8];
+  const dbk_real length = o->half[2], radius = o->radius;
+  for (int32_t i = 0; i < count; ++i) {
+    const dbk_real vx = x[i] - px, vy = y[i] - py, vz = z[i] - pz;
+    const dbk_real along = vx * ax + vy * ay + vz * az;
+    const dbk_real low = along < length ? along : length;
+    const dbk_real t = low > -length ? low : -length;
+    const dbk_real wx = vx - t * ax, wy = vy - t * ay, wz = vz - t * az;
+    const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
+    const dbk_real inverse = (dbk_real)1 / (far > TINY ? far : TINY);
+    d[i] = far - radius;
+    nx[i] = wx * inverse;
+    ny[i] = wy * inverse;
+    nz[i] = far > TINY ? wz * inverse : (dbk_real)1; /* on the axis: any way out will do */
+  }
+}
+
+/* a point on or in the box leaves by the nearest face */
+static void leave_box(const dbk_obstacle *o, const dbk_real local[3], dbk_real *d, dbk_real *nx, dbk_real *ny,
+                      dbk_real *nz) {
+  int32_t face = 2;
+  dbk_real depth = dbk_abs(local[2]) - o->half[2];
+  for (int32_t e = 0; e < 2; ++e) {
+    const dbk_real other = dbk_abs(local[e]) - o->half[e];
+    if (other > depth) {
+      depth = other;
+      face = e;
+    }
+  }
+  const dbk_real sign = local[face] < (dbk_real)0 ? (dbk_real)-1 : (dbk_real)1;
+  *d = depth;
+  *nx = sign * o->rotation[face];
+  *ny = sign * o->rotation[3 + face];
+  *nz = sign * o->rotation[6 + face];
+}
+
+static void to_box(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
+                   const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
+                   dbk_real *restrict nz) {
+  const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
+  const dbk_real *r = o->rotation;
+  const dbk_real r0 = r[0], r1 = r[1], r2 = r[2], r3 = r[3], r4 = r[4], r5 = r[5], r6 = r[6], r7 = r[7], r8 = r[8];
+  const dbk_real hx = o->half[0], hy = o->half[1], hz = o->half[2];
+  for (int32_t i = 0; i < count; ++i) {
+    const dbk_real vx = x[i] - px, vy = y[i] - py, vz = z[i] - pz;
+    const dbk_real lx = r0 * vx + r3 * vy + r6 * vz, ly = r1 * vx + r4 * vy + r7 * vz, lz = r2 * vx + r5 * vy + r8 * vz;
+    const dbk_real ux = lx < hx ? lx : hx, uy = ly < hy ? ly : hy, uz = lz < hz ? lz : hz;
+    const dbk_real wx = lx - (ux > -hx ? ux : -hx), wy = ly - (uy > -hy ? uy : -hy), wz = lz - (uz > -hz ? uz : -hz);
+    const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
+    const dbk_real inverse = (dbk_real)1 / (far > TINY ? far : TINY);
+    d[i] = far;
+    nx[i] = (r0 * wx + r1 * wy + r2 * wz) * inverse;
+    ny[i] = (r3 * wx + r4 * wy + r5 * wz) * inverse;
+    nz[i] = (r6 * wx + r7 * wy + r8 * wz) * inverse;
+  }
+  for (int32_t i = 0; i < count; ++i) {
+    if (!(d[i] > TINY)) {
+      const dbk_real vx = x[i] - px, vy = y[i] - py, vz = z[i] - pz;
+      const dbk_real local[3] = {r0 * vx + r3 * vy + r6 * vz, r1 * vx + r4 * vy + r7 * vz, r2 * vx + r5 * vy + r8 * vz};
+      leave_box(o, local, d + i, nx + i, ny + i, nz + i);
+    }
+  }
+}
+
+/* everything below the plane through the pose with normal local z */
+static void to_half_space(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
+                          const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
+                          dbk_real *restrict nz) {
+  const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
+  const dbk_real ax = o->rotation[2], ay = o->rotation[5], az = o->rotation[8];
+  for (int32_t i = 0; i < count; ++i) {
+    d[i] = (x[i] - px) * ax + (y[i] - py) * ay + (z[i] - pz) * az;
+    nx[i] = ax;
+    ny[i] = ay;
+    nz[i] = az;
+  }
+}
+
+void dbk_distance(const dbk_obstacle *shape, int32_t count, const dbk_real *x, const dbk_real *y, const dbk_real *z,
+                  dbk_real *d, dbk_real *nx, dbk_real *ny, dbk_real *nz) {
+  if (shape->shape == DBK_CAPSULE) {
+    to_capsule(shape, count, x, y, z, d, nx, ny, nz);
+  } else if (shape->shape == DBK_BOX) {
+    to_box(shape, count, x, y, z, d, nx, ny, nz);
+  } else {
+    to_half_space(shape, count, x, y, z, d, nx, ny, nz);
+  }
+}

@@ -1,0 +1,35 @@
+/* Small arithmetic used everywhere. Comparisons are written so that NaN takes the refusing branch. */
+#ifndef DBK_MATH_H
+#define DBK_MATH_H
+
+#include "dbk/dbk.h"
+
+static inline dbk_real dbk_abs(dbk_real x) { return x < (dbk_real)0 ? -x : x; }
+static inline dbk_real dbk_min(dbk_real a, dbk_real b) { return a < b ? a : b; }
+static inline dbk_real dbk_max(dbk_real a, dbk_real b) { return a > b ? a : b; }
+
+static inline dbk_real dbk_clamp(dbk_real x, dbk_real lower, dbk_real upper) {
+  if (x > upper) { return upper; }
+  return x >= lower ? x : lower; /* NaN becomes the lower bound */
+}
+
+static inline dbk_real dbk_sqrt(dbk_real x) {
+#ifdef DBK_DOUBLE
+  return __builtin_sqrt(x);
+#else
+  return __builtin_sqrtf(x);
+#endif
+}
+
+static inline int32_t dbk_finite(dbk_real x) {
+  const dbk_real none = x - x; /* NaN for NaN and for infinities */
+  return none == (dbk_real)0;
+}
+
+static inline int32_t dbk_all_finite(const dbk_real *x, int32_t count) {
+  int32_t good = 1;
+  for (int32_t i = 0; i < count; ++i) { good &= dbk_finite(x[i]); }
+  return good;
+}
+
+#endif

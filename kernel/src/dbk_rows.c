@@ -1,0 +1,264 @@
+/* Rows of the barrier functions (paper 4.2): for a sphere at distance h along the outward normal n of an obstacle,
+ *
+ *   n'J u  >=  -alpha(h) + n'v_o + velocity_error + tracking * sum_k |n'J_k| + max(0, -dt/2 n'a)
+ *
+ * with a the centre's acceleration at constant u (the sampling term), alpha(h) = alpha h, and for h < 0 the recovery
+ * min(alpha |h|, recovery). A row is left out only when no control of the box can violate it and h is above a floor.
+ * Where contact is permitted, the contact-speed row n'(J u - v_o) >= -max(speed, alpha h) takes its place.
+ */
+#include "dbk_math.h"
+
+/* what is the same for all spheres of one visit */
+typedef struct {
+  dbk_real margin, alpha, cap, error, half_period, velocity[3];
+  int32_t permitted, moving;
+} terms;
+
+/* distances, row right sides and room to violation, one array each */
+typedef struct {
+  dbk_real h[DBK_ALL_SPHERES], nx[DBK_ALL_SPHERES], ny[DBK_ALL_SPHERES], nz[DBK_ALL_SPHERES];
+  dbk_real rhs[DBK_ALL_SPHERES], room[DBK_ALL_SPHERES];
+} visit;
+
+/* keep the row; when full, the smallest h stay and the overflow is told */
+static void push(dbk_rows *rows, const visit *w, int32_t at, const dbk_cloud *cloud, const terms *t, int32_t kind,
+                 int32_t i, int32_t j, int32_t from, int32_t upto) {
+  int32_t r = rows->count;
+  if (r >= DBK_MAX_ROWS) {
+    rows->overflow = 1;
+    r = 0;
+    for (int32_t other = 1; other < DBK_MAX_ROWS; ++other) {
+      if (rows->h[other] > rows->h[r]) { r = other; }
+    }
+    if (!(w->h[at] < rows->h[r])) { return; }
+  } else {
+    rows->count = r + 1;
+  }
+  const dbk_real nx = w->nx[at], ny = w->ny[at], nz = w->nz[at];
+  const dbk_real x = cloud->x[i], y = cloud->y[i], z = cloud->z[i];
+  rows->h[r] = w->h[at];
+  rows->b[r] = w->rhs[at];
+  rows->nx[r] = nx;
+  rows->ny[r] = ny;
+  rows->nz[r] = nz;
+  rows->mx[r] = y * nz - z * ny;
+  rows->my[r] = z * nx - x * nz;
+  rows->mz[r] = x * ny - y * nx;
+  rows->from[r] = from;
+  rows->upto[r] = upto;
+  rows->kind[r] = kind;
+  rows->i[r] = i;
+  rows->j[r] = j;
+  rows->yielding[r] = t->permitted || !(w->h[at] >= (dbk_real)0);
+  rows->moving[r] = t->moving;
+}
+
+/* h, right side and the room that the worst control of the box leaves, for spheres first..first+count-1 */
+static void weigh(const dbk_cloud *cloud, const dbk_motion *motion, const terms *t, int32_t first, int32_t count,
+                  const dbk_real reference[6], dbk_real other_spread, visit *restrict w) {
+  const dbk_real margin = t->margin, alpha = t->alpha, cap = t->cap, error = t->error, dt2 = t->half_period;
+  const dbk_real ox = t->velocity[0], oy = t->velocity[1], oz = t->velocity[2];
+  const dbk_real bx = reference[3], by = reference[4], bz = reference[5];
+  const dbk_real rx = reference[0], ry = reference[1], rz = reference[2];
+  const dbk_real *restrict radius = cloud->r + first;
+  const dbk_real *restrict vx = motion->vx + first, *restrict vy = motion->vy + first, *restrict vz = motion->vz + first;
+  const dbk_real *restrict ax = motion->ax + first, *restrict ay = motion->ay + first, *restrict az = motion->az + first;
+  const dbk_real *restrict spread = motion->spread + first;
+  for (int32_t s = 0; s < count; ++s) {
+    const dbk_real nx = w->nx[s], ny = w->ny[s], nz = w->nz[s];
+    const dbk_real h = w->h[s] - radius[s] - margin;
+    const dbk_real wanted = -alpha * h;
+    const dbk_real barrier = wanted < cap ? wanted : cap;
+    const dbk_real bend = -dt2 * (nx * (ax[s] - bx) + ny * (ay[s] - by) + nz * (az[s] - bz));
+    const dbk_real rhs = barrier + (nx * ox + ny * oy + nz * oz) + error + (bend > (dbk_real)0 ? bend : (dbk_real)0);
+    const dbk_real rate = nx * (vx[s] - rx) + ny * (vy[s] - ry) + nz * (vz[s] - rz);
+    w->h[s] = h;
+    w->rhs[s] = rhs;
+    w->room[s] = rate - spread[s] - other_spread - rhs;
+  }
+}
+
+static void remember(dbk_visits *visits, int32_t link, int32_t other) {
+  visits->link[visits->count] = (int16_t)link;
+  visits->other[visits->count] = (int16_t)other;
+  ++visits->count;
+}
+
+/* spheres of one link against one obstacle */
+static void against_obstacle(const dbk_model *model, dbk_ctx *ctx, const dbk_obstacle *shape, const terms *t,
+                             int32_t link, int32_t first, int32_t count, int32_t index) {
+  static const dbk_real still[6] = {0};
+  const dbk_cloud *cloud = &ctx->cloud;
+  visit w;
+  dbk_distance(shape, count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
+  weigh(cloud, &ctx->motion, t, first, count, still, (dbk_real)0, &w);
+  const int32_t frame = link == model->n_links ? model->n : model->link_frame[link];
+  for (int32_t s = 0; s < count; ++s) {
+    const dbk_real h = w.h[s] + model->sampling;
+    if (!t->permitted && h < ctx->h_min) { ctx->h_min = h; }
+    if (w.room[s] < (dbk_real)0 || (!t->permitted && w.h[s] < DBK_CULL_FLOOR)) {
+      push(&ctx->rows, &w, s, cloud, t, DBK_ROW_OBSTACLE, first + s, index, 0, frame);
+    }
+  }
+}
+
+static int32_t first_of(const dbk_model *model, int32_t link) {
+  return link == model->n_links ? model->n_spheres : model->link_first[link];
+}
+
+static int32_t last_of(const dbk_model *model, const dbk_scene *scene, int32_t link) {
+  return link == model->n_links ? model->n_spheres + scene->n_held : model->link_first[link + 1];
+}
+
+static void obstacle_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
+                          int32_t known_only) {
+  dbk_real gap[DBK_ALL_LINKS], nx[DBK_ALL_LINKS], ny[DBK_ALL_LINKS], nz[DBK_ALL_LINKS];
+  const int32_t n_links = model->n_links + (scene->n_held > 0 ? 1 : 0);
+  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
+    dbk_obstacle shape = scene->obstacle[o];
+    if (known_only && !(shape.flags & DBK_KNOWN)) { continue; }
+    const int32_t moving = !(shape.flags & DBK_STATIC);
+    for (int32_t e = 0; e < 3; ++e) { shape.position[e] += shape.velocity[e] * age; }
+    const dbk_real speed = dbk_sqrt(shape.velocity[0] * shape.velocity[0] + shape.velocity[1] * shape.velocity[1] +
+                                    shape.velocity[2] * shape.velocity[2]) + shape.velocity_error;
+    const dbk_real margin = shape.margin + shape.velocity_error * age + model->sampling + model->rounding + extra;
+    dbk_distance(&shape, n_links, ctx->motion.bound_x, ctx->motion.bound_y, ctx->motion.bound_z, gap, nx, ny, nz);
+    for (int32_t l = 0; l < n_links; ++l) {
+      const int32_t held = l == model->n_links;
+      const int32_t first = first_of(model, l);
+      const int32_t count = last_of(model, scene, l) - first;
+      if (count <= 0 || (!held && model->link_frame[l] == 0)) { continue; } /* frame 0 is bolted to the world */
+      const dbk_real permit = scene->permit[l][o];
+      const int32_t permitted = permit >= (dbk_real)0;
+      const dbk_real around = margin + (held ? scene->held_error : (dbk_real)0);
+      const dbk_real h = gap[l] - ctx->motion.bound_r[l] - around; /* no sphere of the link is nearer */
+      if (h > DBK_CULL_FLOOR && model->alpha * h >= speed + ctx->motion.speed[l] && h + model->sampling >= ctx->h_min) {
+        continue;
+      }
+      const terms t = {around,
+                       model->alpha,
+                       permitted ? -permit : model->recovery,
+                       permitted ? (dbk_real)0 : shape.velocity_error,
+                       (dbk_real)0.5 * model->period,
+                       {shape.velocity[0], shape.velocity[1], shape.velocity[2]},
+                       permitted,
+                       moving};
+      against_obstacle(model, ctx, &shape, &t, l, first, count, o);
+      if (!permitted) { remember(&ctx->visits, l, o); }
+    }
+  }
+}
+
+/* spheres of link `far` (moved by more joints) against those of link `near` */
+static void against_link(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, int32_t near, int32_t far,
+                         dbk_real extra) {
+  const dbk_motion *m = &ctx->motion;
+  const dbk_cloud *cloud = &ctx->cloud;
+  const int32_t held = far == model->n_links;
+  const int32_t from = model->link_frame[near];
+  const int32_t upto = held ? model->n : model->link_frame[far];
+  const int32_t first = first_of(model, far), count = last_of(model, scene, far) - first;
+  const dbk_real margin = model->self_margin + model->sampling + model->rounding + extra +
+                          (held ? scene->held_error : (dbk_real)0);
+  const dbk_real x = m->bound_x[far] - m->bound_x[near], y = m->bound_y[far] - m->bound_y[near];
+  const dbk_real z = m->bound_z[far] - m->bound_z[near];
+  const dbk_real h = dbk_sqrt(x * x + y * y + z * z) - m->bound_r[far] - m->bound_r[near] - margin;
+  if (count <= 0 || from == upto) { return; }
+  if (h > DBK_CULL_FLOOR && model->alpha * h >= m->speed[near] + m->speed[far] && h + model->sampling >= ctx->h_min) {
+    return;
+  }
+  for (int32_t i = model->link_first[near]; i < model->link_first[near + 1]; ++i) {
+    const dbk_obstacle ball = {DBK_CAPSULE, DBK_STATIC, {cloud->x[i], cloud->y[i], cloud->z[i]}, {0}, {0}, cloud->r[i],
+                               {0}, 0, 0};
+    const terms t = {margin, model->alpha, model->recovery, (dbk_real)0, (dbk_real)0.5 * model->period, {0}, 0, 0};
+    const dbk_real reference[6] = {m->vx[i], m->vy[i], m->vz[i], m->ax[i], m->ay[i], m->az[i]};
+    visit w;
+    dbk_distance(&ball, count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
+    weigh(cloud, m, &t, first, count, reference, m->spread[i], &w);
+    for (int32_t s = 0; s < count; ++s) {
+      if (w.h[s] + model->sampling < ctx->h_min) { ctx->h_min = w.h[s] + model->sampling; }
+      if (w.room[s] < (dbk_real)0 || w.h[s] < DBK_CULL_FLOOR) {
+        push(&ctx->rows, &w, s, cloud, &t, DBK_ROW_SELF, first + s, i, from, upto);
+      }
+    }
+  }
+  remember(&ctx->visits, far, -1 - near);
+}
+
+/* n'J_k = z_k'(c x n) - n'(z_k x p_k) for every row at once, then unit rows */
+void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+  dbk_rows *rows = &ctx->rows;
+  const int32_t count = rows->count;
+  dbk_real square[DBK_MAX_ROWS], total[DBK_MAX_ROWS], best[DBK_MAX_ROWS];
+  for (int32_t r = 0; r < count; ++r) { square[r] = total[r] = best[r] = (dbk_real)0; }
+  for (int32_t k = 0; k < model->n; ++k) {
+    const dbk_real *f = ctx->frames.rotation[k + 1];
+    const dbk_real *p = ctx->frames.origin[k + 1];
+    const dbk_real zx = f[2], zy = f[5], zz = f[8];
+    const dbk_real mx = zy * p[2] - zz * p[1], my = zz * p[0] - zx * p[2], mz = zx * p[1] - zy * p[0];
+    const dbk_real lower = ctx->lower[k], upper = ctx->upper[k];
+    dbk_real *restrict a = rows->a[k];
+    for (int32_t r = 0; r < count; ++r) {
+      const dbk_real full = (zx * rows->mx[r] + zy * rows->my[r] + zz * rows->mz[r]) -
+                            (mx * rows->nx[r] + my * rows->ny[r] + mz * rows->nz[r]);
+      const dbk_real mine = (k >= rows->from[r] && k < rows->upto[r]) ? full : (dbk_real)0;
+      const dbk_real low = mine * lower, high = mine * upper;
+      a[r] = mine;
+      square[r] += mine * mine;
+      total[r] += mine < (dbk_real)0 ? -mine : mine;
+      best[r] += low > high ? low : high;
+    }
+  }
+  int32_t kept = 0;
+  for (int32_t r = 0; r < count; ++r) {
+    const dbk_real norm = dbk_sqrt(square[r]);
+    dbk_real b = rows->b[r] + model->tracking * total[r];
+    if (!(norm > DBK_ZERO_GRADIENT)) {
+      /* nothing can be done about this pair: fine if nothing is needed */
+      const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && rows->upto[r] <= 1 && !rows->moving[r];
+      if (!(b <= (dbk_real)0) && !mount) {
+        if (rows->h[r] + model->sampling < (dbk_real)0) { rows->stuck = 1; }
+        rows->unavoidable = 1;
+      }
+      continue;
+    }
+    /* recovery and contact rows ask for no more than the box can give */
+    if (rows->yielding[r] && b > best[r] - DBK_QP_SHIFT * 4 * norm) { b = best[r] - DBK_QP_SHIFT * 4 * norm; }
+    const dbk_real inverse = (dbk_real)1 / norm;
+    for (int32_t k = 0; k < model->n; ++k) { rows->a[k][kept] = rows->a[k][r] * inverse; }
+    rows->b[kept] = b * inverse;
+    rows->h[kept] = rows->h[r] + model->sampling;
+    rows->norm[kept] = norm;
+    rows->kind[kept] = rows->kind[r];
+    rows->i[kept] = rows->i[r];
+    rows->j[kept] = rows->j[r];
+    rows->moving[kept] = rows->moving[r];
+    rows->yielding[kept] = rows->yielding[r];
+    ++kept;
+  }
+  rows->count = kept;
+  /* empty rows fill the last vector */
+  for (int32_t r = kept; r < DBK_MAX_ROWS && r % DBK_LANES != 0; ++r) {
+    for (int32_t k = 0; k < model->n; ++k) { rows->a[k][r] = (dbk_real)0; }
+    rows->b[r] = (dbk_real)-1e9;
+    rows->soft[r] = (dbk_real)0;
+  }
+  (void)scene;
+}
+
+void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
+                    int32_t known_only) {
+  ctx->rows.count = ctx->rows.overflow = ctx->rows.stuck = ctx->rows.unavoidable = 0;
+  ctx->visits.count = 0;
+  ctx->h_min = (dbk_real)10; /* farther than any robot here reaches */
+  obstacle_rows(model, scene, ctx, age, extra, known_only);
+  for (int32_t p = 0; p < model->n_pairs; ++p) {
+    against_link(model, scene, ctx, model->pair[p][0], model->pair[p][1], extra);
+  }
+  if (scene->n_held > 0) {
+    for (int32_t l = 0; l < model->n_held_links; ++l) {
+      against_link(model, scene, ctx, model->held_link[l], model->n_links, extra);
+    }
+  }
+  dbk_finish_rows(model, scene, ctx);
+}

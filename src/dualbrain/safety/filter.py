@@ -1,0 +1,149 @@
+"""The local safety filter (paper 4): the closest safe control to a nominal one, every control period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.safety.config import FilterConfig
+from dualbrain.safety.native import make_kernel, obstacle_rows, tool_frame
+from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.permit import Contact
+from dualbrain.safety.result import Filtered, Names, Status
+
+__all__ = ["Contact", "FilterConfig", "Filtered", "Obstacle", "SafetyFilter", "Status", "ToolState"]
+
+Array = NDArray[np.float64]
+
+STATUSES = tuple(Status)
+HELD = "held"
+
+
+@dataclass(frozen=True, slots=True)
+class ToolState:
+    """Where the tool is: position (3,) [m], rotation (3, 3), Jacobian (6, n) of linear then angular velocity."""
+
+    position: Array
+    rotation: Array
+    jacobian: Array
+
+
+class SafetyFilter:
+    """Closest safe control to the nominal one: min ½‖u − u_nom‖²_R s.t. A u ≥ b, u in the box (paper 4.3).
+
+    Promise: if `certified` and the model holds (spheres cover the body, obstacles are where they are said to be within
+    their margins, ẏ = u within `tracking_error` for y = q + lag v), no h falls below zero before the next update. Says
+    nothing about obstacles it was not told of. Spheres of the base (frame 0) get no rows: it is bolted to the world.
+    """
+
+    def __init__(self, body: Body, config: FilterConfig | None = None, *, weight: Array | None = None) -> None:
+        """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²)."""
+        self.body, self.config = body, config or FilterConfig()
+        self._kernel = make_kernel(body, self.config, weight)
+        self._stamp = 0.0
+        self._obstacles: tuple[Obstacle, ...] = ()
+        self._permits: tuple[Contact, ...] = ()
+        self._tool = np.empty(12 + 6 * body.n)
+        self._turn, self._offset = tool_frame(body)
+        self._parts = _parts(body)
+        links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
+        self._names = Names(
+            tuple(links), (), tuple(joint.name for joint in body.joints), tuple(j.velocity.value for j in body.joints)
+        )
+        self._groups = {link.name: link.group for link in body.links}
+
+    # --- what the filter knows --------------------------------------------------------------------------------
+
+    def observe(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
+        """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
+        self._kernel.set_obstacles(obstacle_rows(obstacles))
+        self._obstacles, self._stamp = tuple(obstacles), stamp
+        names = self._names
+        self._names = Names(names.spheres, tuple(thing.name for thing in obstacles), names.joints, names.v_max)
+        self._apply_permits()
+
+    def permit(self, permits: Sequence[Contact]) -> None:
+        """The complete list of contacts that are allowed from now on; every other pair is kept apart again."""
+        for contact in permits:
+            if contact.robot_part not in self._parts:
+                raise UnknownName("part of the robot", contact.robot_part, tuple(self._parts), owner=self.body.name)
+            if not contact.speed >= 0.0:
+                raise InvalidSetup("contact speed [m/s]", got=contact.speed, allowed="0 or more")
+        self._permits = tuple(permits)
+        self._apply_permits()
+
+    def _apply_permits(self) -> None:
+        self._kernel.clear_permits()
+        for contact in self._permits:
+            for index, obstacle in enumerate(self._obstacles):
+                if obstacle.name == contact.obstacle:
+                    for link in self._parts[contact.robot_part]:
+                        self._kernel.permit(link, index, contact.speed)
+
+    def attach(self, spheres: Array, error: float) -> None:
+        """Carry `spheres` (k, 4) of x, y, z, radius [m] in the tool frame, k ≤ 8; `error` [m] inflates their rows."""
+        held = np.asarray(spheres, float).reshape(-1, 4).copy()
+        held[:, :3] = held[:, :3] @ self._turn.T + self._offset
+        if len(held) > 8 or not np.all(np.linalg.norm(held[:, :3] - self._offset, axis=1) <= 0.5):
+            raise InvalidSetup("held spheres", got=len(held), allowed="at most 8, within 0.5 m of the tool")
+        self._kernel.attach(np.ascontiguousarray(held), error)
+
+    def detach(self) -> None:
+        """Nothing is held any more."""
+        self._kernel.attach(np.empty((0, 4)), 0.0)
+
+    def reset(self, u_prev: Array | float = 0.0) -> None:
+        """Forget the past: the robot moves at `u_prev` (n,) [rad/s]."""
+        self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.body.n,))))
+
+    # --- control ----------------------------------------------------------------------------------------------
+
+    def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
+        """One control step; to be called once per period, as it owns the last control and the warm start."""
+        u = np.empty(self.body.n)
+        status, *rest = self._kernel.step(
+            state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp, u
+        )
+        return Filtered(u, u_nom, self._names, STATUSES[status], *rest)
+
+    def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
+        """φ's own projection of a wish (n,): known obstacles only, the box around `u_nom_prev`, a little more clearance.
+
+        Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
+        """
+        u = np.empty(self.body.n)
+        self._kernel.project(
+            state.q, state.v, u_wish, u_nom_prev, state.opening, now - state.stamp, now - self._stamp,
+            self.config.projection_margin, u,
+        )  # fmt: skip
+        return u
+
+    # --- kinematics -------------------------------------------------------------------------------------------
+
+    def tool(self, q: Array) -> ToolState:
+        """The tool frame at joint angles q (n,) [rad], in the world."""
+        n, flat = self.body.n, np.empty(12 + 6 * self.body.n)
+        self._kernel.tool(q, flat)
+        return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
+
+    def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere, held ones last."""
+        flat = np.empty((len(self._names.spheres) + 8, 4))
+        count = self._kernel.spheres(q, opening, flat)
+        groups = [self._groups[name] for name in self._names.spheres]
+        return flat[:count, :3], flat[:count, 3], (*groups, *([HELD] * (count - len(groups))))
+
+
+def _parts(body: Body) -> dict[str, tuple[int, ...]]:
+    """Link indices behind every name that a permit may use: groups, links, and the held thing."""
+    parts = {
+        link.group: tuple(i for i, other in enumerate(body.links) if other.group == link.group) for link in body.links
+    }
+    parts |= {link.name: (i,) for i, link in enumerate(body.links)}
+    return parts | {HELD: (len(body.links),)}

@@ -1,0 +1,154 @@
+"""The only file that knows the compiled kernel: a `Body` becomes the kernel's model, obstacles become its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.errors import InvalidSetup
+from dualbrain.linalg import matrix
+from dualbrain.records import Box, Capsule, HalfSpace, Sphere
+from dualbrain.safety import _kernel
+from dualbrain.safety._kernel import Kernel
+from dualbrain.safety.config import FilterConfig
+from dualbrain.safety.obstacles import Obstacle
+
+Array = NDArray[np.float64]
+
+CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
+KNOWN, STATIC = 1, 2
+UNLIMITED = 1e4
+"""Acceleration [rad/s²] that never binds, for a filter without acceleration limits."""
+
+
+def kernel_hash() -> str:
+    """First 16 hex of SHA-256 over the kernel's sources and compiler flags."""
+    return _kernel.source_hash
+
+
+def make_kernel(body: Body, config: FilterConfig, weight: Array | None = None) -> Kernel:
+    """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
+    if config.real == "float64":
+        from dualbrain.safety import _kernel64  # noqa: PLC0415  # the test build stays unloaded otherwise
+
+        return _kernel64.Kernel(model_of(body, config, weight))
+    return Kernel(model_of(body, config, weight))
+
+
+def model_of(body: Body, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
+    """The kernel's model of `body`, every length and angle in float64; the kernel rounds once."""
+    return _dials(body, config) | _limits(body, config, weight) | _geometry(body) | _pairs(body)
+
+
+def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
+    return {
+        "n": body.n,
+        "period": body.period,
+        "alpha": body.alpha if config.alpha is None else config.alpha,
+        "recovery": config.recovery_speed,
+        "sampling": config.sampling_margin,
+        "rounding": config.rounding_margin,
+        "self_margin": config.self_margin,
+        "lag": body.tracking.lag if config.lag_compensation else 0.0,
+        "tracking": config.tracking_error,
+        "state_age_max": config.state_stale_after,
+        "scene_age_max": config.stale_after,
+    }
+
+
+def _limits(body: Body, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    a_max = np.array([joint.acceleration.value for joint in body.joints])
+    R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)
+    try:
+        scale = np.linalg.inv(np.linalg.cholesky(R)).T
+    except np.linalg.LinAlgError:
+        raise InvalidSetup("weight R of the filter", got=R.tolist(), allowed="symmetric positive definite") from None
+    return {
+        "q_lower": np.array([joint.lower.value for joint in body.joints]),
+        "q_upper": np.array([joint.upper.value for joint in body.joints]),
+        "v_max": v_max,
+        "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED),
+        "scale": np.ascontiguousarray(scale),
+    }
+
+
+def _geometry(body: Body) -> dict[str, Any]:
+    rows: list[Array] = []
+    first = [0]
+    for link in body.links:
+        turn, shift = matrix(link.quaternion), np.array(link.translation)
+        slide = turn @ np.array(link.slide)
+        for sphere in body.spheres:
+            if sphere.link == link.name:
+                rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
+        first.append(len(rows))
+    if len(rows) > _kernel.max_spheres:
+        raise InvalidSetup("spheres of the body", got=len(rows), allowed=f"at most {_kernel.max_spheres}")
+    rotation, offset = tool_frame(body)
+    return {
+        "joint_rotation": np.concatenate([matrix(joint.quaternion).ravel() for joint in body.joints]),
+        "joint_offset": np.concatenate([np.array(joint.translation) for joint in body.joints]),
+        "tool_rotation": np.ascontiguousarray(rotation),
+        "tool_offset": offset,
+        "link_frame": np.array([float(link.frame) for link in body.links]),
+        "link_first": np.array(first, float),
+        "spheres": np.array(rows, float).reshape(-1, 7),
+    }
+
+
+def tool_frame(body: Body) -> tuple[Array, Array]:
+    """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain."""
+    link = next(link for link in body.links if link.name == body.tool.link)
+    if link.frame != body.n:
+        raise InvalidSetup("the tool's link", got=link.name, allowed=f"a link on the last frame ({body.n})")
+    turn = matrix(link.quaternion)
+    offset = np.array(link.translation) + turn @ np.array(body.tool.translation)
+    return turn @ matrix(body.tool.quaternion), offset
+
+
+def _pairs(body: Body) -> dict[str, Any]:
+    """Kept link pairs, the one nearer to the base first; a held thing is kept from whatever the hand is kept from."""
+    index = {link.name: i for i, link in enumerate(body.links)}
+    pairs: list[tuple[int, int]] = []
+    held: set[int] = set()
+    for names in body.self_pairs.kept:
+        near, far = sorted((index[name] for name in names), key=lambda i: body.links[i].frame)
+        if body.links[near].frame == body.links[far].frame:
+            raise InvalidSetup("a self-collision pair", got=names, allowed="links that move against each other")
+        pairs.append((near, far))
+        if body.links[far].group in ("hand", "fingers"):
+            held.add(near)
+    return {
+        "pairs": np.array(pairs, float).reshape(-1),
+        "held_links": np.array(sorted(held), float),
+    }
+
+
+def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
+    """The obstacle table (k, 23) that the kernel reads."""
+    if len(obstacles) > _kernel.max_obstacles:
+        raise InvalidSetup("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
+    return np.array([_obstacle_row(obstacle) for obstacle in obstacles], float).reshape(-1, 23)
+
+
+def _obstacle_row(obstacle: Obstacle) -> list[float]:
+    match obstacle.shape:
+        case Sphere(radius=radius):
+            kind, half, r = CAPSULE, (0.0, 0.0, 0.0), radius
+        case Capsule(radius=radius, half_length=length):
+            kind, half, r = CAPSULE, (0.0, 0.0, length), radius
+        case Box(half_extents=extents):
+            kind, half, r = BOX, extents, 0.0
+        case HalfSpace():
+            kind, half, r = HALF_SPACE, (0.0, 0.0, 0.0), 0.0
+    flags = KNOWN * obstacle.known + STATIC * obstacle.static
+    rotation = matrix(obstacle.pose.quaternion).ravel().tolist()
+    return [
+        kind, float(flags), *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin,
+        obstacle.velocity_error,
+    ]  # fmt: skip

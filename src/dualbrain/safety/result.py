@@ -1,0 +1,129 @@
+"""What the filter answers: a control that is always finite and admissible, and why it is what it is."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from math import sqrt
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RawRow = tuple[int, int, int, float, float]
+
+
+class Status(IntEnum):
+    """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: no control meets all rows; hardest admissible braking.
+
+    STOPPED: the input is bad or stale, or a limit of the kernel was met; braking. FAULT: h ≥ 0 cannot be certified for
+    the next step even when braking.
+    """
+
+    SAFE = 0
+    MODIFIED = 1
+    RELAXED = 2
+    STOPPED = 3
+    FAULT = 4
+
+
+class Reason(IntFlag):
+    """Why a status above MODIFIED was given; several may hold. The same bits as in the kernel."""
+
+    BAD_INPUT = 1
+    STALE_STATE = 2
+    STALE_SCENE = 4
+    OUTSIDE_LIMITS = 8
+    ROW_OVERFLOW = 16
+    NO_GRADIENT = 32
+    QP_ITERATIONS = 64
+    INFEASIBLE = 128
+    BAD_SCENE = 256
+    UNCERTIFIED = 512
+    UNAVOIDABLE = 1024
+
+
+class Names(msgspec.Struct, frozen=True):
+    """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints."""
+
+    spheres: tuple[str, ...]
+    obstacles: tuple[str, ...]
+    joints: tuple[str, ...]
+    v_max: tuple[float, ...]
+
+    def row(self, kind: int, i: int, j: int) -> str:
+        """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 lower"."""
+        if kind == 0:
+            return f"{self.sphere(i)} vs {self.obstacles[j]!r}"
+        if kind == 1:
+            return f"{self.sphere(i)} vs {self.sphere(j)}"
+        return f"{self.joints[i]} {'lower' if kind == 2 else 'upper'}"
+
+    def sphere(self, index: int) -> str:
+        """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
+        return self.spheres[index] if index < len(self.spheres) else "held"
+
+
+class Filtered(msgspec.Struct, frozen=True, eq=False):
+    """One answer of the filter.
+
+    `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
+    `delta_rows` and `delta_box`; `h_min` [m] the smallest barrier value of all pairs without a permit; `certified`:
+    h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that could bind in this step.
+    """
+
+    u: Array
+    u_nom: Array
+    names: Names
+    status: Status
+    flags: int
+    delta: float
+    delta_rows: float
+    delta_box: float
+    h_min: float
+    certified: bool
+    iterations: int
+    n_rows: int
+    rows: tuple[RawRow, ...]
+
+    @property
+    def reason(self) -> Reason:
+        """Why the status is what it is."""
+        return Reason(self.flags)
+
+    @property
+    def active(self) -> tuple[tuple[str, float, float], ...]:
+        """Binding rows as (name, h [m], multiplier); the conflicting ones with Farkas multipliers when infeasible."""
+        return tuple((self.names.row(kind, i, j), h, weight) for kind, i, j, h, weight in self.rows)
+
+    def unfiltered(self) -> Filtered:
+        """The same moment had nobody filtered: u is u_nom, without a certificate."""
+        return msgspec.structs.replace(
+            self, u=self.u_nom, status=Status.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False, rows=()
+        )
+
+    def explain(self) -> str:
+        """One sentence for people: what was near, and what was done about it."""
+        if self.status is Status.SAFE:
+            return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
+        if self.status is Status.MODIFIED:
+            return f"{self._who()}: {self._what()}"
+        causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
+        who = f" ({self._who()})" if self.rows else ""
+        return f"{self.status.name.lower()}: {causes or 'braking'}{who}"
+
+    def _who(self) -> str:
+        rows = sorted(self.rows, key=lambda row: -row[4])[:2]
+        words = [
+            self.names.row(kind, i, j) + (f" {h * 1e3:.0f} mm" if kind < 2 else "") for kind, i, j, h, _ in rows
+        ]  # fmt: skip
+        return " and ".join(words) or f"nearest pair {self.h_min * 1e3:.0f} mm"
+
+    def _what(self) -> str:
+        wanted, got = self._speed(self.u_nom), self._speed(self.u)
+        if got < 0.98 * wanted:
+            return f"slowed {100.0 * (1.0 - got / wanted):.0f} %"
+        return f"redirected by {100.0 * self.delta:.1f} % of full speed"
+
+    def _speed(self, u: Array) -> float:
+        return sqrt(float(np.mean((u / np.array(self.names.v_max)) ** 2)))
