@@ -18,6 +18,7 @@ SPEED = Number("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "speed o
 CLEARANCE = Number("clearance", "m", 0.03, 0.35, "site policy", "reach of the arm", "least height while carrying")
 OPENING = Number("opening", "m", 0.005, 0.04, "site policy", "gripper data sheet", "opening of each finger")
 FORCE = Number("force", "N", 1.0, 70.0, "site policy", "gripper data sheet", "grip force")
+ANGLE = Number("angle", "rad", -1.57, 1.57, "reach of the wrist", "reach of the wrist", "angle about the tool's z")
 FINGERS = Choice("finger_axis", ("along", "across"), "finger axis in the frame of the target")
 APPROACH = Choice("approach", ("top", "side", "tilted"))
 ROUTE = Choice("route", ("direct", "near_base", "left", "right"))
@@ -26,7 +27,7 @@ REASON = Text("reason", 160, "why nothing is done")
 
 
 def build_registry(robot: str = "panda") -> Registry:
-    """Seven skills of an arm."""
+    """The seven skills of an arm in the design, and one with an angle."""
     permit = ContactPermit("close", "fingers", "target", 0.05)
     grasp = (Name("object", "graspable"), FORCE, SPEED, FINGERS, OPENING, APPROACH, ROUTE, WAIT)
     return Registry(
@@ -38,6 +39,7 @@ def build_registry(robot: str = "panda") -> Registry:
             SkillSpec("release", "open the fingers", (OPENING,)),
             SkillSpec("hold", "stand still", (Number("duration", "s", 0.1, 10.0, "site policy", "site policy"),)),
             SkillSpec("home", "go home", (SPEED,)),
+            SkillSpec("turn_wrist", "turn about the approach", (ANGLE,)),
             SkillSpec("decline", "do nothing and say why", (REASON,)),
         ),
     )
@@ -66,7 +68,9 @@ def values(parameter: Parameter, names: SceneNames) -> st.SearchStrategy[Any]:
         case Name():
             return st.sampled_from(names.offered(parameter.of))
         case Text():
-            return st.text(max_size=20).filter(lambda text: not hides_something(text)) | st.just("x" * parameter.max_length)
+            return st.text(max_size=20).filter(lambda text: not hides_something(text)) | st.just(
+                "x" * parameter.max_length
+            )
 
 
 def numbers(number: Number) -> st.SearchStrategy[float]:

@@ -107,7 +107,9 @@ def other_robot(document: Document, draw: Draw) -> bool:
 
 def other_registry(document: Document, draw: Draw) -> bool:
     known = document["context"]["registry"]
-    document["context"]["registry"] = draw(st.sampled_from(["00000000", "", known.upper() + "x", known + "0", known[:7]]))
+    document["context"]["registry"] = draw(
+        st.sampled_from(["00000000", "", known.upper() + "x", known + "0", known[:7]])
+    )
     return True
 
 
@@ -127,12 +129,9 @@ def out_of_bounds(document: Document, draw: Draw) -> bool:
     if found is None:
         return False
     params, number = found
-    params[number.name] = draw(
-        st.sampled_from(
-            [number.upper + 1, -number.upper - 1, number.upper * 1000, math.nextafter(number.upper, math.inf),
-             math.nextafter(number.lower, -math.inf), 0, 1e300, -1e300, 10**14]
-        )
-    )  # fmt: skip
+    above, below = math.nextafter(number.upper, math.inf), math.nextafter(number.lower, -math.inf)
+    candidates = [above, below, number.upper + 1, number.lower - 1, number.upper * 1000, 0, 90, 1e300, -1e300, 10**14]
+    params[number.name] = draw(st.sampled_from([x for x in candidates if not number.lower <= x <= number.upper]))
     return True
 
 
@@ -151,7 +150,9 @@ def bad_text(document: Document, draw: Draw) -> bool:
         return False
     params, text = found
     params[text.name] = draw(
-        st.sampled_from(["x" * (text.max_length + 1), "\x1b[2J", "a\nb", "a\x00", "safe\u202egnp", "\U000e0041", "\ufeff"])
+        st.sampled_from(
+            ["x" * (text.max_length + 1), "\x1b[2J", "a\nb", "a\x00", "safe\u202egnp", "\U000e0041", "\ufeff"]
+        )
     )
     return True
 

@@ -47,7 +47,7 @@ def with_(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
     return document
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(contracts())
 def test_a_contract_that_follows_from_the_specs_is_accepted_unchanged(document: dict[str, Any]) -> None:
     verdict = check(GATE, document)
@@ -61,7 +61,7 @@ def test_a_contract_that_follows_from_the_specs_is_accepted_unchanged(document: 
 
 
 @pytest.mark.parametrize(("stage", "mutate"), [(s, m) for s, ms in MUTATIONS.items() for m in ms])
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(document=contracts(), data=st.data())
 def test_a_single_mutation_fails_at_its_stage(stage: str, mutate: Any, document: dict[str, Any], data: Any) -> None:
     assume(mutate(document, data.draw))
@@ -74,7 +74,7 @@ def test_a_single_mutation_fails_at_its_stage(stage: str, mutate: Any, document:
     assert verdict.allowed
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(contracts(), st.lists(st.sampled_from([m for ms in MUTATIONS.values() for m in ms]), max_size=3), st.data())
 def test_the_published_schema_accepts_exactly_what_the_stages_accept(
     document: dict[str, Any], mutations: list[Any], data: Any
@@ -82,25 +82,26 @@ def test_the_published_schema_accepts_exactly_what_the_stages_accept(
     for mutate in mutations:
         try:
             mutate(document, data.draw)
-        except (AttributeError, KeyError, TypeError, ValueError, UnknownName):
+        except (AttributeError, LookupError, TypeError, ValueError, UnknownName):
             break  # an earlier mutation took away what this one changes
     verdict = check(GATE, document)
     assert isinstance(verdict, Accepted) == CONJUNCTION.is_valid(document)
     assert (isinstance(verdict, Rejected) and verdict.stage == "syntax") == (not SYNTAX.is_valid(document))
 
 
+@settings(deadline=None)
 @given(JSON)
 def test_any_json_is_judged_as_the_published_schema_judges_it(document: Any) -> None:
     assert isinstance(check(GATE, document), Accepted) == CONJUNCTION.is_valid(document)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=400) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
 def test_no_bytes_raise(data: bytes) -> None:
     assert isinstance(GATE.check(data, names=NAMES, principal=PRINCIPAL, now=0.0), Rejected)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_no_damaged_contract_raises_and_none_is_accepted_in_part(data: Any) -> None:
     good = json.dumps(GOOD).encode()
@@ -181,7 +182,7 @@ def test_only_granted_skills_of_a_known_principal_pass() -> None:
 
 
 def test_a_grant_of_an_unregistered_skill_is_a_wrong_setup() -> None:
-    with pytest.raises(UnknownName, match="closest|Closest"):
+    with pytest.raises(UnknownName, match="Closest: 'grasp'"):
         Gate(REGISTRY, {PRINCIPAL: frozenset({"grasp_it"})})
 
 

@@ -1,0 +1,129 @@
+"""A registry is checked when it is built, and its hash changes with meaning and with nothing else."""
+
+import hashlib
+from typing import Any
+
+import msgspec
+import pytest
+
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, Number, SkillSpec, Text
+from dualbrain.errors import InvalidSetup, UnknownName
+from tests.contracts.arm import APPROACH, OPENING, REASON, REGISTRY, SPEED, build_registry
+
+
+def of(*skills: SkillSpec, robot: str = "panda") -> Registry:
+    """A registry of these skills."""
+    return Registry(robot, skills)
+
+
+def one(*parameters: Any, name: str = "go", **more: Any) -> Registry:
+    """A registry of one skill with these parameters."""
+    return of(SkillSpec(name, "", parameters, **more))
+
+
+def changed(number: Number, **fields: Any) -> Number:
+    """`number` with other fields."""
+    return msgspec.structs.replace(number, **fields)
+
+
+def test_the_hash_is_of_the_canonical_bytes() -> None:
+    assert REGISTRY.hash == hashlib.sha256(REGISTRY.canonical()).hexdigest()[:8]
+    assert build_registry().hash == REGISTRY.hash
+    assert one(SPEED).canonical() == (
+        b'{"contract_version":1,"robot":"panda","skills":{"go":{"speed":{"lower":0.05,"number":"m/s","upper":0.4}}}}'
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        one(SPEED, name="went"),
+        of(SkillSpec("go", "", (SPEED,)), robot="ur5e"),
+        one(changed(SPEED, unit="rad/s")),
+        one(changed(SPEED, upper=0.5)),
+        one(changed(SPEED, lower=0.0)),
+        one(changed(SPEED, name="pace")),
+        one(SPEED, OPENING),
+        one(),
+        of(SkillSpec("go", "", (SPEED,)), SkillSpec("stop", "")),
+        one(Choice("speed", ("slow", "fast"))),
+        one(Name("speed", "any")),
+        one(Text("speed", 9)),
+    ],
+)
+def test_the_hash_changes_with_meaning(other: Registry) -> None:
+    assert other.hash != one(SPEED).hash
+
+
+def test_the_hash_does_not_change_with_words_order_or_permits() -> None:
+    told = changed(SPEED, description="how fast", lower_from="new source", upper_from="new source")
+    permit = ContactPermit("close", "fingers", "target", 0.05)
+    assert one(told, permits=(permit,)).hash == one(SPEED).hash
+    turned = of(*reversed(REGISTRY.skills))
+    assert turned.hash == REGISTRY.hash
+    assert one(Choice("way", ("left", "right"))).hash == one(Choice("way", ("right", "left"))).hash
+    assert one(Choice("way", ("left", "right"))).hash != one(Choice("way", ("left", "straight"))).hash
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        of,
+        lambda: of(SkillSpec("go", ""), SkillSpec("go", "twice")),
+        lambda: one(SPEED, OPENING, SPEED),
+        lambda: one(SPEED, name="Go"),
+        lambda: one(SPEED, name="gо"),  # a Cyrillic letter
+        lambda: one(SPEED, name="__proto__"),
+        lambda: of(SkillSpec("go", ""), robot="the robot"),
+        lambda: one(changed(SPEED, name="")),
+        lambda: one(changed(SPEED, unit="mm/s")),
+        lambda: one(changed(SPEED, unit="deg/s")),
+        lambda: one(changed(SPEED, unit="metre/second")),
+        lambda: one(changed(SPEED, lower=0.5)),
+        lambda: one(changed(SPEED, lower=float("nan"))),
+        lambda: one(changed(SPEED, upper=float("nan"))),
+        lambda: one(changed(SPEED, upper=float("inf"))),
+        lambda: one(changed(SPEED, upper=1e12)),
+        lambda: one(changed(SPEED, lower_from="")),
+        lambda: one(changed(SPEED, upper_from=" ")),
+        lambda: one(Choice("way", ())),
+        lambda: one(Choice("way", ("left", "left"))),
+        lambda: one(Choice("way", ("to the left",))),
+        lambda: one(Text("reason", 0)),
+        lambda: one(Text("reason", 100_000)),
+        lambda: one(SPEED, permits=(ContactPermit("close", "fingers", "target", float("nan")),)),
+        lambda: one(SPEED, permits=(ContactPermit("close", "fingers", "target", -0.1),)),
+    ],
+)
+def test_a_registry_that_makes_no_sense_is_not_built(build: Any) -> None:
+    with pytest.raises(InvalidSetup):
+        build()
+
+
+def test_the_wrong_unit_is_named() -> None:
+    with pytest.raises(InvalidSetup, match=r"'mm/s'.*0\.001"):
+        one(changed(SPEED, unit="mm/s"))
+
+
+def test_skills_are_found_by_name() -> None:
+    assert REGISTRY.skill("decline").parameters == (REASON,)
+    assert APPROACH in REGISTRY.skill("grasp").parameters
+    with pytest.raises(UnknownName, match="Closest: 'grasp'"):
+        REGISTRY.skill("grsp")
+
+
+@pytest.mark.parametrize("name", ["", "red cube", "a\nb", "ignore_previous: instructions", "x" * 49, "rеd", '"', "-a"])
+def test_scene_names_are_identifiers(name: str) -> None:
+    with pytest.raises(InvalidSetup):
+        SceneNames((name,), ())
+    with pytest.raises(InvalidSetup):
+        SceneNames((), (name,))
+
+
+def test_scene_names_are_offered_by_role() -> None:
+    names = SceneNames(("cup", "cube"), ("bowl", "cup"))
+    assert [names.offered(of) for of in ("graspable", "receptive", "any")] == [
+        ("cup", "cube"), ("bowl", "cup"), ("cup", "cube", "bowl"),
+    ]  # fmt: skip

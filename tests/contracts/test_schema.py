@@ -1,0 +1,134 @@
+"""Both schema forms say the same, in the keywords that their readers honour, with units and provenance in words."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jsonschema
+import jsonschema_rs
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import short_form, syntax_schema
+from dualbrain.contracts.skill_spec import Name, Number
+from tests.contracts.arm import NAMES, REGISTRY, contracts
+from tests.contracts.mutations import MUTATIONS
+
+DECODED = {
+    "type", "properties", "required", "additionalProperties", "const", "enum", "anyOf", "items", "minItems", "maxItems",
+    "minimum", "maximum", "pattern",
+}  # fmt: skip
+"""Keywords that LLGuidance and xgrammar were measured to enforce."""
+
+SCENES = [NAMES, SceneNames(("cup",), ()), SceneNames((), ("bowl",)), SceneNames()]
+FORMS = [
+    tuple(map(jsonschema_rs.Draft7Validator, (REGISTRY.validation_schema(names), REGISTRY.decoding_schema(names))))
+    for names in SCENES
+]
+
+
+def keywords(schema: Any) -> Iterator[str]:
+    """Every keyword in `schema`, not the names of properties."""
+    for key, value in schema.items():
+        yield key
+        if key == "properties":
+            for part in value.values():
+                yield from keywords(part)
+        elif key in ("items", "if", "then", "not") or (key == "additionalProperties" and isinstance(value, dict)):
+            yield from keywords(value)
+        elif key in ("anyOf", "allOf"):
+            for part in value:
+                yield from keywords(part)
+
+
+@pytest.mark.parametrize("names", SCENES)
+def test_all_forms_are_draft_07(names: SceneNames) -> None:
+    for schema in (REGISTRY.validation_schema(names), REGISTRY.decoding_schema(names), syntax_schema(REGISTRY)):
+        jsonschema.Draft7Validator.check_schema(schema)
+        jsonschema_rs.Draft7Validator(schema)
+
+
+@pytest.mark.parametrize("names", SCENES)
+def test_the_decoding_schema_uses_only_what_decoders_enforce(names: SceneNames) -> None:
+    assert set(keywords(REGISTRY.decoding_schema(names))) <= DECODED
+    assert {"allOf", "if", "then"} <= set(keywords(REGISTRY.validation_schema(names)))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    contracts(),
+    st.lists(st.sampled_from([m for ms in MUTATIONS.values() for m in ms]), max_size=1),
+    st.sampled_from(FORMS),
+    st.data(),
+)
+def test_both_forms_accept_the_same_contracts(
+    document: dict[str, Any], mutations: list[Any], forms: tuple[Any, Any], data: Any
+) -> None:
+    for mutate in mutations:
+        mutate(document, data.draw)
+    validation, decoding = forms
+    assert validation.is_valid(document) == decoding.is_valid(document)
+
+
+def test_a_decoder_writes_fields_in_one_order() -> None:
+    schema = REGISTRY.decoding_schema(NAMES)
+    assert list(schema["properties"]) == ["id", "context", "action_sequence"]
+    branches = schema["properties"]["action_sequence"]["items"]["anyOf"]
+    for branch, skill in zip(branches, REGISTRY.skills, strict=True):
+        assert list(branch["properties"]) == ["skill", "params"]
+        assert branch["properties"]["skill"] == {"const": skill.name}
+        assert list(branch["properties"]["params"]["properties"]) == [p.name for p in skill.parameters]
+
+
+def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
+    def skills(names: SceneNames) -> list[str]:
+        items = REGISTRY.decoding_schema(names)["properties"]["action_sequence"]["items"]
+        return [branch["properties"]["skill"]["const"] for branch in items["anyOf"]]
+
+    assert skills(SceneNames((), ("bowl",))) == ["move_to", "place", "release", "hold", "home", "turn_wrist", "decline"]
+    assert skills(SceneNames()) == ["release", "hold", "home", "turn_wrist", "decline"]
+
+
+def test_a_registry_with_nothing_to_call_admits_nothing() -> None:
+    grasp = Registry("panda", (REGISTRY.skill("grasp"),))
+    schema = grasp.decoding_schema(SceneNames())
+    document = {"id": "c-0001", "context": {"robot": "panda", "registry": grasp.hash}, "action_sequence": [{}]}
+    assert not jsonschema_rs.Draft7Validator(schema).is_valid(document)
+
+
+def test_every_number_says_its_unit_and_where_its_bounds_come_from() -> None:
+    branches = REGISTRY.validation_schema(NAMES)["properties"]["action_sequence"]["items"]["allOf"]
+    for branch, skill in zip(branches, REGISTRY.skills, strict=True):
+        properties = branch["then"]["properties"]["params"]["properties"]
+        for number in (p for p in skill.parameters if isinstance(p, Number)):
+            schema = properties[number.name]
+            assert schema["x-unit"] == number.unit
+            assert f"[{number.unit}]" in schema["description"]
+            assert number.lower_from in schema["description"]
+            assert number.upper_from in schema["description"]
+
+
+def test_errors_of_the_validation_schema_name_the_exact_place() -> None:
+    params = {"speed": 9}
+    document = {"id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}}
+    document |= {"action_sequence": [{"skill": "home", "params": params}]}
+    (error,) = jsonschema.Draft7Validator(REGISTRY.validation_schema(NAMES)).iter_errors(document)
+    assert list(error.absolute_path) == ["action_sequence", 0, "params", "speed"]
+    assert error.message == "9 is greater than the maximum of 0.4"
+
+
+def test_the_short_form_names_everything_the_schema_bounds() -> None:
+    text = short_form(REGISTRY, NAMES)
+    for skill in REGISTRY.skills:
+        (line,) = [line for line in text.splitlines() if line.startswith(f"{skill.name}(")]
+        assert skill.description in line
+        for parameter in skill.parameters:
+            assert f"{parameter.name}: " in line
+            if isinstance(parameter, Number):
+                assert f"{parameter.lower:g}..{parameter.upper:g} {parameter.unit}" in line
+            if isinstance(parameter, Name) and parameter.of != "any":
+                assert f"{parameter.of} name" in line
+    assert "graspable: red_cube, blue_cube, tall_cup" in text
+    assert short_form(REGISTRY, SceneNames()).endswith("graspable: nothing\nreceptive: nothing")

@@ -1,0 +1,44 @@
+"""Every attack ends at the stage that was predicted for it, and what is said about it is safe to show."""
+
+import json
+from typing import Any
+
+import msgspec
+import pytest
+
+from dualbrain.contracts.verdict import Accepted, Rejected
+from tests.stories.attacks import ATTACKS, GOOD, PAGE, STAGES, attempt, by_class, page, stopped_at
+
+LONGEST_REFUSAL = 1200
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: f"{attack['class']}: {attack['name']}")
+def test_each_attack_ends_where_it_was_predicted(attack: dict[str, Any]) -> None:
+    verdict = attempt(attack)
+    assert stopped_at(verdict) == attack["expected"], verdict
+    assert ("then" in attack) == (attack["expected"] == "accepted")
+    if isinstance(verdict, Rejected):
+        written = msgspec.json.encode(verdict).decode()
+        assert written.isascii()
+        assert str(verdict.got).isprintable()
+        assert len(written) < LONGEST_REFUSAL
+        assert verdict.hint
+
+
+def test_the_contract_that_the_attacks_start_from_is_good() -> None:
+    assert isinstance(attempt({"text": "$GOOD"}), Accepted)
+    assert isinstance(attempt({"text": "$GOOD", "stamp": {}}), Accepted)
+    assert json.loads(GOOD)["action_sequence"]
+
+
+def test_there_are_enough_of_them_in_every_class_and_at_every_stage() -> None:
+    table = by_class()
+    assert len(ATTACKS) >= 70
+    assert len({(attack["class"], attack["name"]) for attack in ATTACKS}) == len(ATTACKS)
+    assert min(counts.total() for counts in table.values()) >= 5
+    assert all(sum(counts[stage] for counts in table.values()) >= 10 for stage in STAGES)
+
+
+def test_the_page_about_the_attacks_is_current() -> None:
+    current = page([stopped_at(attempt(attack)) for attack in ATTACKS])
+    assert PAGE.read_text() == current, "run: python -m tests.stories.attacks"
