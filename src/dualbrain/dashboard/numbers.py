@@ -1,0 +1,63 @@
+"""The numbers by which an episode is judged, written the same way in the live view and in the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dualbrain.records import Episode
+
+
+@dataclass(frozen=True, slots=True)
+class KeyNumber:
+    """One number: `name` as in `episode.json`, a `label` for people, its `value`, and its `text` with `unit`."""
+
+    name: str
+    label: str
+    value: float | str | None
+    text: str
+    unit: str = ""
+
+
+def millimetres(metres: float | None) -> str:
+    """A length [m] as text in millimetres; a dash if there is none."""
+    return "–" if metres is None else f"{1e3 * metres:.2f}".replace("-", "−")
+
+
+def seconds(value: float | None) -> str:
+    """A time [s] as text."""
+    return "–" if value is None else f"{value:.2f}"
+
+
+def dimensionless(value: float | None) -> str:
+    """An intervention magnitude (0 to 2) as text."""
+    return "–" if value is None else f"{value:.5f}"
+
+
+def key_numbers(episode: Episode) -> tuple[KeyNumber, ...]:
+    """Δ, intervention frequency, h_min, duration, planner time and violations (a dash where nothing was measured)."""
+    outcome, judgement = episode.outcome, episode.judgement
+    ran = outcome.Delta is not None
+    planner = sum(sum(attempt.proposal.timings.values()) for attempt in episode.attempts)
+    planner = episode.timings.get("planner", planner)
+    violations = None if judgement is None else len(judgement.violations)
+    frequency = outcome.intervention_frequency if ran else None
+    return (
+        KeyNumber("Delta", "Δ, mean of δ", outcome.Delta, dimensionless(outcome.Delta)),
+        KeyNumber(
+            "delta_peak",
+            "δ, peak",
+            outcome.delta_peak if ran else None,
+            dimensionless(outcome.delta_peak if ran else None),
+        ),
+        KeyNumber(
+            "intervention_frequency",
+            "ticks intervened",
+            frequency,
+            "–" if frequency is None else f"{100 * frequency:.2f}",
+            "%",
+        ),
+        KeyNumber("h_min", "least clearance", outcome.h_min, millimetres(outcome.h_min), "mm"),
+        KeyNumber("duration", "duration", outcome.duration, seconds(outcome.duration), "s"),
+        KeyNumber("planner", "planner", planner, seconds(planner), "s"),
+        KeyNumber("violations", "violations", violations, "–" if violations is None else str(violations)),
+    )

@@ -1,0 +1,84 @@
+"""A headless Chromium, driven through ChromeDriver's protocol: plain JSON over HTTP, which needs no package."""
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from typing import Any, Self
+from urllib.request import ProxyHandler, Request, build_opener
+
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--hide-scrollbars", "--enable-unsafe-swiftshader",
+    "--use-gl=angle", "--use-angle=swiftshader",
+)  # fmt: skip
+OPENER = build_opener(ProxyHandler({}))
+
+
+class Browser:
+    """One window."""
+
+    def __init__(self, profile: Path, size: tuple[int, int] = (1280, 800), *extra: str) -> None:
+        driver, chromium = shutil.which("chromedriver"), shutil.which("chromium")
+        assert driver, "chromedriver is missing: apt-get install chromium-driver"
+        assert chromium, "chromium is missing: apt-get install chromium"
+        self._driver = subprocess.Popen(
+            [driver, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        assert self._driver.stdout is not None
+        self._base = f"http://127.0.0.1:{self._port()}"
+        flags = [*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", *extra]
+        wanted = {"goog:chromeOptions": {"binary": chromium, "args": flags}, "goog:loggingPrefs": {"browser": "ALL"}}
+        session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+        self._base += f"/session/{session['sessionId']}"
+
+    def _port(self) -> str:
+        assert self._driver.stdout is not None
+        for line in self._driver.stdout:
+            if "started successfully on port" in line:
+                return line.rstrip().rstrip(".").split()[-1]
+        raise AssertionError("chromedriver did not start")
+
+    def _call(self, method: str, path: str, body: object = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        with OPENER.open(
+            Request(self._base + path, data, {"Content-Type": "application/json"}, method=method), timeout=60
+        ) as answer:
+            return json.load(answer)["value"]
+
+    def open(self, url: str) -> None:
+        """Load a page."""
+        self._call("POST", "/url", {"url": url})
+
+    def run(self, script: str) -> Any:
+        """What the script returns."""
+        return self._call("POST", "/execute/sync", {"script": script, "args": []})
+
+    def wait_for(self, script: str, seconds: float = 30.0) -> Any:
+        """The script's first true answer."""
+        until = time.monotonic() + seconds
+        while not (answer := self.run(script)):
+            assert time.monotonic() < until, f"never true in {seconds} s: {script}"
+            time.sleep(0.1)
+        return answer
+
+    def console(self) -> list[str]:
+        """What the page complained of."""
+        return [line["message"] for line in self._call("POST", "/se/log", {"type": "browser"})]
+
+    def picture(self, path: Path) -> None:
+        """Save a screenshot."""
+        path.write_bytes(base64.b64decode(self._call("GET", "/screenshot")))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._call("DELETE", "")
+        finally:
+            self._driver.terminate()
+            with self._driver:
+                self._driver.wait(10)

@@ -1,0 +1,59 @@
+"""Moments of the made-up run as the live view wants them, with forward kinematics written only for this test."""
+
+import msgspec
+import numpy as np
+
+from dualbrain.dashboard.view_state import Array, ViewState
+from dualbrain.embodiment.body import Body
+from dualbrain.linalg import matrix, quaternion
+from dualbrain.records import Pose, Scene
+from dualbrain.runtime.trace import Trace
+
+
+def _placed(translation: tuple[float, ...], turn: tuple[float, ...]) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = matrix(turn), translation
+    return T
+
+
+def link_frames(body: Body, q: Array, opening: float) -> dict[str, Array]:
+    """T_world_link (4, 4) by link name."""
+    chain = [np.eye(4)]
+    for joint, angle in zip(body.joints, q, strict=True):
+        turn = _placed((0, 0, 0), (np.cos(angle / 2), 0, 0, np.sin(angle / 2)))
+        chain.append(chain[-1] @ _placed(joint.translation, joint.quaternion) @ turn)
+    return {
+        link.name: chain[link.frame]
+        @ _placed(link.translation, link.quaternion)
+        @ _placed(tuple(opening * np.array(link.slide)), (1, 0, 0, 0))
+        for link in body.links
+    }
+
+
+def moment(body: Body, trace: Trace, scene: Scene, k: int) -> ViewState:
+    """What the view shows at tick `k`."""
+    frames = link_frames(body, trace["q"][k], float(trace["opening"][k]))
+    centres = np.array([(frames[ball.link] @ np.array([*ball.centre, 1.0]))[:3] for ball in body.spheres])
+    radii = np.array([ball.radius for ball in body.spheres])
+    t = float(trace["t"][k])
+    arm = scene.find("forearm")
+    pose = Pose((arm.pose.position[0], 0.4 - 0.03 * t, arm.pose.position[2]), arm.pose.quaternion)
+    things = tuple(msgspec.structs.replace(arm, pose=pose) if one is arm else one for one in scene.objects)
+    gaps = np.linalg.norm(centres - np.array(pose.position), axis=1) - radii - 0.12
+    delta = trace["delta"][: k + 1]
+    numbers = {
+        "phase": trace.phases[int(trace["phase"][k])],
+        "status": ("safe", "modified")[int(trace["status"][k])],
+        "h_min": float(trace["h_min"][k]),
+        "delta": float(delta[-1]),
+        "Delta": float(delta.mean()),
+        "intervention_frequency": float((delta > 0).mean()),
+        "speed": float(np.linalg.norm(trace["u"][k])),
+        "planner": "idle",
+        "elapsed": t,
+    }
+    poses = {name: Pose(tuple(T[:3, 3]), quaternion(T[:3, :3])) for name, T in frames.items()}
+    margins = {one.name: one.error + 0.01 for one in things if one.role != "support"}
+    seen = msgspec.structs.replace(scene, objects=things)
+    lines = ("attempt 1: refused at envelope", "attempt 2: accepted", "<b>wrist vs 'forearm'</b>: 12 mm, slowed 41 %")
+    return ViewState(t, poses, seen, centres, radii, gaps, margins, (0.45, 0.28, 0.12), numbers, lines)
