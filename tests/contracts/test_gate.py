@@ -2,6 +2,7 @@
 
 import copy
 import json
+import time
 from typing import Any
 
 import jsonschema
@@ -110,6 +111,29 @@ def test_no_damaged_contract_raises_and_none_is_accepted_in_part(data: Any) -> N
     verdict = GATE.check(damaged, names=NAMES, principal=PRINCIPAL, now=0.0)
     if isinstance(verdict, Accepted):
         assert CONJUNCTION.is_valid(json.loads(damaged))
+
+
+FULL = 64 * 1024
+HARD = {
+    "brackets": "[" + "[]," * (FULL // 3 - 2) + "[]]",
+    "many_fields": "{" + ",".join(f'"{i:x}":1' for i in range(7000)) + "}",
+    "wrong_actions": json.dumps(GOOD | {"action_sequence": [{}] * 16000}),
+    "number_actions": json.dumps(GOOD | {"action_sequence": [1] * 21000}),
+    "wrong_values": json.dumps(
+        GOOD | {"action_sequence": [{"skill": "homi", "params": {str(i): [] for i in range(64)}}] * 8}
+    ),
+    "long_skill": json.dumps(GOOD | {"action_sequence": [{"skill": "g" * 60000, "params": {}}]}),
+    "long_escapes": '["' + "\\\\" * (FULL // 2 - 2) + '"]',
+}
+
+
+@pytest.mark.parametrize("text", HARD.values(), ids=HARD)
+def test_the_hardest_bytes_are_refused_within_the_time_of_a_few_control_steps(text: str) -> None:
+    assert len(text) <= FULL
+    start = time.process_time()
+    verdict = GATE.check(text.encode(), names=NAMES, principal=PRINCIPAL, now=0.0)
+    assert isinstance(verdict, Rejected)
+    assert time.process_time() - start < 0.25
 
 
 # --- each stage alone -----------------------------------------------------------------------------------------------

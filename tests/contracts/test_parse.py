@@ -67,6 +67,7 @@ def test_no_bytes_raise_and_what_passes_an_independent_reader_reads_alike(data: 
         (b'{"a":1,}', "}"), (b"{'a':1}", "'a':1}"), (b'{"a":1 /* */}', "/* */}"), (b"[01]", "1]"), (b"[.5]", ".5]"),
         (b"[+1]", "+1]"), (b"[0x10]", "x10]"), (b'["\n"]', "\\n\"]"), (b'["\\x41"]', "\\\\x41\"]"), (b"[1.]", ".]"),
         (b'{"a":1,"a":1}', "a"), (b'{"speed":1,"sp\\u0065ed":2}', "speed"), (b'[{"b":{"c":0,"d":0,"c":0}}]', "c"),
+        (json.dumps({str(i): 0 for i in range(65)}).encode(), "object of 65"),
         (b"NaN", "NaN"), (b"[Infinity]", "Infinity"), (b"[-Infinity]", "-Infinity"), (b"[1e999]", "1e999"),
         (b"[-1e400]", "-1e400"), (b"[1" + b"0" * 15 + b"]", "1" + "0" * 15), (b"[0." + b"3" * 50 + b"]", None),
         (b"[1" + b"0" * 5000 + b"]", None), (b"[" + b"9" * 400 + b".5]", None),

@@ -12,6 +12,8 @@ from dualbrain.errors import DualbrainError
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 16
+MAX_FIELDS = 64
+"""Per object; more than any skill has, few enough that refusing stays quick."""
 MAX_INT_DIGITS = 15
 """Whole numbers of up to 15 digits are exact in double precision."""
 MAX_FLOAT_LENGTH = 40
@@ -33,8 +35,9 @@ def parse(data: bytes) -> Any:
     """The JSON value in `data`, or `Rejected` at stage syntax; never raises, whatever the bytes.
 
     In order: at most 64 KiB; strict UTF-8 without byte order mark; brackets at most 16 deep outside strings; RFC 8259
-    JSON; no duplicate keys; no NaN or infinity, spelt or by overflow; whole numbers of at most 15 digits; no lone
-    surrogates. (json.loads alone accepts NaN, duplicate keys and lone surrogates, and turns 1e999 into infinity.)
+    JSON; objects of at most 64 fields, none twice; no NaN or infinity, spelt or by overflow; whole numbers of at most
+    15 digits; no lone surrogates. (json.loads alone accepts NaN, duplicate keys and lone surrogates, and reads 1e999 as
+    infinity.)
     """
     if len(data) > MAX_BYTES:
         return _no(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
@@ -88,11 +91,13 @@ def _no(got: object, allowed: str, hint: str) -> Rejected:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object, unless one key comes twice (readers differ on which of the two counts)."""
+    """An object, unless it is too big or one key comes twice (readers differ on which of the two counts)."""
+    if len(pairs) > MAX_FIELDS:
+        raise _RefusedError(_no(f"object of {len(pairs)}", f"at most {MAX_FIELDS} fields in an object", "drop fields"))
     members = dict(pairs)
     if len(members) != len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))
         raise _RefusedError(_no(shown(twice), "each key once in an object", "drop the duplicate key"))
     return members
 

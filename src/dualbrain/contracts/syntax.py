@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import islice
-from typing import Any
+from typing import Any, cast
 
 import jsonschema_rs
 
@@ -12,7 +11,6 @@ from dualbrain.contracts.safe_text import closest, pointer, shown
 from dualbrain.contracts.schema import MAX_ACTIONS, Schema, syntax_schema
 from dualbrain.contracts.verdict import Rejected
 
-_ERRORS_READ = 64
 _RANK = {"type": 0, "additionalProperties": 1, "required": 2}
 """At one place a wrong type is named first, and an unknown field before a missing one: mostly one misspelt field."""
 
@@ -29,8 +27,26 @@ class SyntaxStage:
         """None if `document` is well formed, else what is wrong at its first wrong place."""
         if self._compiled.is_valid(document):
             return None
-        first = min(islice(self._compiled.iter_errors(document), _ERRORS_READ), key=_order)
+        refusal = _overlong(document)
+        if refusal is not None:
+            return refusal
+        first = min(self._compiled.iter_errors(document), key=_order)
         return _refusal(first, self._schema)
+
+
+def _overlong(document: Any) -> Rejected | None:
+    """A refusal of too many actions, before all errors are gathered: those of 64 KiB would take a second."""
+    steps: Any = cast("dict[str, Any]", document).get("action_sequence") if isinstance(document, dict) else None
+    if isinstance(steps, list) and len(cast("list[Any]", steps)) > MAX_ACTIONS:
+        return _miscounted(pointer("action_sequence"), steps)
+    return None
+
+
+def _miscounted(place: str, steps: Any) -> Rejected:
+    """The refusal of an array of actions that is empty or too long."""
+    return Rejected(
+        "syntax", place, shown(steps), f"1 to {MAX_ACTIONS} actions", "plan with fewer or with some actions"
+    )
 
 
 def _order(error: jsonschema_rs.ValidationError) -> tuple[list[tuple[int, str]], int, int]:
@@ -55,8 +71,7 @@ def _refusal(error: jsonschema_rs.ValidationError, schema: Schema) -> Rejected:
                 "syntax", place, shown(extra), list(known), f"drop or rename this field; {closest(extra, known)}"
             )
         case "minItems" | "maxItems":
-            allowed = f"1 to {MAX_ACTIONS} actions"
-            return Rejected("syntax", place, shown(error.instance), allowed, "plan with fewer or with some actions")
+            return _miscounted(place, error.instance)
         case _:
             return Rejected("syntax", place, shown(error.instance), "'c-' and four digits", "write an id like 'c-0001'")
 
