@@ -27,7 +27,7 @@ typedef struct {
 void dbk_closed_loop(const dbk_model *model, dbk_scene *scene, dbk_ctx *ctx, const dbk_adversary *adversary, double *q,
                      double *q_log, double *u_log, int8_t *status_log, double *obstacle_log, dbk_tally *tally);
 
-/* mean seconds of one step over a recorded episode; cold: the warm start is dropped before every step */
+/* mean seconds of processor time of one step over a recorded episode; cold: the warm start is dropped before every step */
 double dbk_time_steps(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in, int32_t steps,
                       int32_t cold, dbk_out *out);
 

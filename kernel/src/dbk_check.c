@@ -72,13 +72,10 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
       m.margin_next = m.margin_now + o->velocity_error * model->period;
       good &= kept(&ctx->cloud, &ctx->next, &m, first, last - first);
     } else {
-      const int32_t near = -1 - other;
       m.margin_now = m.margin_next = model->self_margin + model->rounding + held_error;
-      for (int32_t i = model->link_first[near]; i < model->link_first[near + 1]; ++i) {
-        ball(&ctx->cloud, i, &m.now);
-        ball(&ctx->next, i, &m.next);
-        good &= kept(&ctx->cloud, &ctx->next, &m, first, last - first);
-      }
+      ball(&ctx->cloud, -1 - other, &m.now);
+      ball(&ctx->next, -1 - other, &m.next);
+      good &= kept(&ctx->cloud, &ctx->next, &m, first, last - first);
     }
   }
   return good;

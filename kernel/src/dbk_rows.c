@@ -78,14 +78,20 @@ static void weigh(const dbk_cloud *cloud, const dbk_motion *motion, const terms 
   }
 }
 
-static void remember(dbk_visits *visits, int32_t link, int32_t other) {
-  visits->link[visits->count] = (int16_t)link;
-  visits->other[visits->count] = (int16_t)other;
-  ++visits->count;
+/* what could reach h = 0 within one period is looked at again by the certificate */
+static void remember(dbk_ctx *ctx, int32_t link, int32_t other) {
+  const int32_t at = ctx->visits.count;
+  if (at >= DBK_MAX_VISITS) {
+    ctx->rows.overflow = 1;
+    return;
+  }
+  ctx->visits.link[at] = (int16_t)link;
+  ctx->visits.other[at] = (int16_t)other;
+  ctx->visits.count = at + 1;
 }
 
-/* spheres of one link against one obstacle */
-static void against_obstacle(const dbk_model *model, dbk_ctx *ctx, const dbk_obstacle *shape, const terms *t,
+/* spheres of one link against one obstacle; returns the smallest h among them */
+static dbk_real against_obstacle(const dbk_model *model, dbk_ctx *ctx, const dbk_obstacle *shape, const terms *t,
                              int32_t link, int32_t first, int32_t count, int32_t index) {
   static const dbk_real still[6] = {0};
   const dbk_cloud *cloud = &ctx->cloud;
@@ -93,13 +99,14 @@ static void against_obstacle(const dbk_model *model, dbk_ctx *ctx, const dbk_obs
   dbk_distance(shape, count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
   weigh(cloud, &ctx->motion, t, first, count, still, (dbk_real)0, &w);
   const int32_t frame = link == model->n_links ? model->n : model->link_frame[link];
+  dbk_real least = w.h[0];
   for (int32_t s = 0; s < count; ++s) {
-    const dbk_real h = w.h[s] + model->sampling;
-    if (!t->permitted && h < ctx->h_min) { ctx->h_min = h; }
+    least = dbk_min(least, w.h[s]);
     if (w.room[s] < (dbk_real)0 || (!t->permitted && w.h[s] < DBK_CULL_FLOOR)) {
       push(&ctx->rows, &w, s, cloud, t, DBK_ROW_OBSTACLE, first + s, index, 0, frame);
     }
   }
+  return least;
 }
 
 static int32_t first_of(const dbk_model *model, int32_t link) {
@@ -143,10 +150,50 @@ static void obstacle_rows(const dbk_model *model, const dbk_scene *scene, dbk_ct
                        {shape.velocity[0], shape.velocity[1], shape.velocity[2]},
                        permitted,
                        moving};
-      against_obstacle(model, ctx, &shape, &t, l, first, count, o);
-      if (!permitted) { remember(&ctx->visits, l, o); }
+      const dbk_real least = against_obstacle(model, ctx, &shape, &t, l, first, count, o);
+      if (permitted) { continue; }
+      ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
+      if (least < model->period * (speed + ctx->motion.speed[l]) + DBK_CULL_FLOOR) { remember(ctx, l, o); }
     }
   }
+}
+
+/* what is the same for all spheres of one pair of links */
+typedef struct {
+  int32_t far, from, upto, first, count;
+  dbk_real margin, speed;
+} link_pair;
+
+/* no ball at (x, y, z) of radius r can come near link `far` in this step, nor does it matter for h_min */
+static int32_t beyond(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real x, dbk_real y,
+                      dbk_real z, dbk_real r) {
+  const dbk_motion *m = &ctx->motion;
+  const dbk_real dx = m->bound_x[p->far] - x, dy = m->bound_y[p->far] - y, dz = m->bound_z[p->far] - z;
+  const dbk_real h = dbk_sqrt(dx * dx + dy * dy + dz * dz) - m->bound_r[p->far] - r - p->margin;
+  return h > DBK_CULL_FLOOR && model->alpha * h >= p->speed && h + model->sampling >= ctx->h_min;
+}
+
+/* one sphere against the spheres of link `far` */
+static void against_sphere(const dbk_model *model, dbk_ctx *ctx, const link_pair *p, int32_t i) {
+  const dbk_motion *m = &ctx->motion;
+  const dbk_cloud *cloud = &ctx->cloud;
+  const int32_t first = p->first;
+  const dbk_obstacle ball = {DBK_CAPSULE, DBK_STATIC, {cloud->x[i], cloud->y[i], cloud->z[i]}, {0}, {0}, cloud->r[i],
+                             {0}, 0, 0};
+  const terms t = {p->margin, model->alpha, model->recovery, (dbk_real)0, (dbk_real)0.5 * model->period, {0}, 0, 0};
+  const dbk_real reference[6] = {m->vx[i], m->vy[i], m->vz[i], m->ax[i], m->ay[i], m->az[i]};
+  visit w;
+  dbk_distance(&ball, p->count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
+  weigh(cloud, m, &t, first, p->count, reference, m->spread[i], &w);
+  dbk_real least = w.h[0];
+  for (int32_t s = 0; s < p->count; ++s) {
+    least = dbk_min(least, w.h[s]);
+    if (w.room[s] < (dbk_real)0 || w.h[s] < DBK_CULL_FLOOR) {
+      push(&ctx->rows, &w, s, cloud, &t, DBK_ROW_SELF, first + s, i, p->from, p->upto);
+    }
+  }
+  ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
+  if (least < model->period * p->speed + DBK_CULL_FLOOR) { remember(ctx, p->far, -1 - i); }
 }
 
 /* spheres of link `far` (moved by more joints) against those of link `near` */
@@ -155,34 +202,22 @@ static void against_link(const dbk_model *model, const dbk_scene *scene, dbk_ctx
   const dbk_motion *m = &ctx->motion;
   const dbk_cloud *cloud = &ctx->cloud;
   const int32_t held = far == model->n_links;
-  const int32_t from = model->link_frame[near];
-  const int32_t upto = held ? model->n : model->link_frame[far];
-  const int32_t first = first_of(model, far), count = last_of(model, scene, far) - first;
-  const dbk_real margin = model->self_margin + model->sampling + model->rounding + extra +
-                          (held ? scene->held_error : (dbk_real)0);
-  const dbk_real x = m->bound_x[far] - m->bound_x[near], y = m->bound_y[far] - m->bound_y[near];
-  const dbk_real z = m->bound_z[far] - m->bound_z[near];
-  const dbk_real h = dbk_sqrt(x * x + y * y + z * z) - m->bound_r[far] - m->bound_r[near] - margin;
-  if (count <= 0 || from == upto) { return; }
-  if (h > DBK_CULL_FLOOR && model->alpha * h >= m->speed[near] + m->speed[far] && h + model->sampling >= ctx->h_min) {
-    return;
-  }
+  const int32_t first = first_of(model, far);
+  const link_pair p = {far,
+                       model->link_frame[near],
+                       held ? model->n : model->link_frame[far],
+                       first,
+                       last_of(model, scene, far) - first,
+                       model->self_margin + model->sampling + model->rounding + extra +
+                           (held ? scene->held_error : (dbk_real)0),
+                       m->speed[near] + m->speed[far]};
+  if (p.count <= 0 || p.from == p.upto) { return; }
+  if (beyond(model, ctx, &p, m->bound_x[near], m->bound_y[near], m->bound_z[near], m->bound_r[near])) { return; }
   for (int32_t i = model->link_first[near]; i < model->link_first[near + 1]; ++i) {
-    const dbk_obstacle ball = {DBK_CAPSULE, DBK_STATIC, {cloud->x[i], cloud->y[i], cloud->z[i]}, {0}, {0}, cloud->r[i],
-                               {0}, 0, 0};
-    const terms t = {margin, model->alpha, model->recovery, (dbk_real)0, (dbk_real)0.5 * model->period, {0}, 0, 0};
-    const dbk_real reference[6] = {m->vx[i], m->vy[i], m->vz[i], m->ax[i], m->ay[i], m->az[i]};
-    visit w;
-    dbk_distance(&ball, count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
-    weigh(cloud, m, &t, first, count, reference, m->spread[i], &w);
-    for (int32_t s = 0; s < count; ++s) {
-      if (w.h[s] + model->sampling < ctx->h_min) { ctx->h_min = w.h[s] + model->sampling; }
-      if (w.room[s] < (dbk_real)0 || w.h[s] < DBK_CULL_FLOOR) {
-        push(&ctx->rows, &w, s, cloud, &t, DBK_ROW_SELF, first + s, i, from, upto);
-      }
+    if (!beyond(model, ctx, &p, cloud->x[i], cloud->y[i], cloud->z[i], cloud->r[i])) {
+      against_sphere(model, ctx, &p, i);
     }
   }
-  remember(&ctx->visits, far, -1 - near);
 }
 
 /* n'J_k = z_k'(c x n) - n'(z_k x p_k) for every row at once, then unit rows */

@@ -104,11 +104,10 @@ typedef struct {
   int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
 } dbk_rows;
 
-/* pairs of (link, obstacle) and (link, link) that were looked at sphere by sphere: what the certificate looks at again */
+/* (link, obstacle) and (link, sphere) that one period could bring to h = 0: what the certificate looks at again */
 typedef struct {
   int32_t count;
-  int16_t link[DBK_ALL_LINKS * DBK_MAX_OBSTACLES + DBK_MAX_PAIRS + DBK_MAX_LINKS];
-  int16_t other[DBK_ALL_LINKS * DBK_MAX_OBSTACLES + DBK_MAX_PAIRS + DBK_MAX_LINKS]; /* obstacle, or -1 - link */
+  int16_t link[DBK_MAX_VISITS], other[DBK_MAX_VISITS]; /* other: obstacle, or -1 - sphere */
 } dbk_visits;
 
 typedef struct {

@@ -30,6 +30,10 @@ typedef float dbk_real;
 #define DBK_MAX_ROWS 512 /* rows that may bind in one step; a multiple of DBK_LANES */
 #endif
 
+#ifndef DBK_MAX_VISITS
+#define DBK_MAX_VISITS 1024 /* groups of pairs that one step could bring to h = 0 */
+#endif
+
 #define DBK_LANES 8
 #define DBK_ALL_SPHERES (DBK_MAX_SPHERES + DBK_MAX_HELD)
 #define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)

@@ -1,1 +1,1 @@
-"""The spinal room: barriers, the safety filter, the intervention metric; `native` is the only file that knows the C kernel."""
+"""The spinal room: barriers, the safety filter, the intervention metric; `native` alone knows the C kernel."""

@@ -1,63 +1,7 @@
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-
-real: str
-source_hash: str
-flags: str
-max_rows: int
-max_obstacles: int
-max_spheres: int
-max_held: int
-
-class Kernel:
-    def __init__(self, model: dict[str, Any]) -> None: ...
-    def set_obstacles(self, rows: Array) -> None: ...
-    def clear_permits(self) -> None: ...
-    def permit(self, link: int, obstacle: int, speed: float) -> None: ...
-    def attach(self, spheres: Array, error: float) -> None: ...
-    def reset(self, u_prev: Array) -> None: ...
-    def step(
-        self, q: Array, v: Array, u_nom: Array, opening: float, state_age: float, scene_age: float, u: Array
-    ) -> tuple[
-        int, int, float, float, float, float, bool, int, int, tuple[tuple[int, int, int, float, float], ...]
-    ]: ...
-    def project(
-        self,
-        q: Array,
-        v: Array,
-        wish: Array,
-        u_prev: Array,
-        opening: float,
-        state_age: float,
-        scene_age: float,
-        extra: float,
-        u: Array,
-    ) -> int: ...
-    def tool(self, q: Array, to: Array) -> None: ...
-    def spheres(self, q: Array, opening: float, to: Array) -> int: ...
-    def rows(self) -> list[tuple[int, int, int, float, float, float, tuple[float, ...]]]: ...
-    def box(self) -> tuple[tuple[float, ...], tuple[float, ...]]: ...
-    def closed_loop(
-        self,
-        q: Array,
-        seed: int,
-        hold: int,
-        toward: float,
-        q_log: Array,
-        u_log: Array,
-        status_log: NDArray[np.int8],
-        true_velocity: Array,
-        swing: float,
-        obstacle_log: Array,
-    ) -> dict[str, float]: ...
-    def time_steps(self, q: Array, u_nom: Array, cold: bool) -> float: ...
-
-def solve_qp(
-    scale: Array, A: Array, b: Array, lower: Array, upper: Array, u_nom: Array, u: Array
-) -> tuple[int, int, tuple[tuple[int, float], ...]]: ...
-def distance(obstacle: Array, points: Array, d: Array, normals: Array) -> None: ...
-def sincos(x: float) -> tuple[float, float]: ...
+from dualbrain.safety._kernel import Kernel as Kernel
+from dualbrain.safety._kernel import distance as distance
+from dualbrain.safety._kernel import flags as flags
+from dualbrain.safety._kernel import real as real
+from dualbrain.safety._kernel import sincos as sincos
+from dualbrain.safety._kernel import solve_qp as solve_qp
+from dualbrain.safety._kernel import source_hash as source_hash

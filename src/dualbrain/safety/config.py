@@ -11,10 +11,10 @@ class FilterConfig(msgspec.Struct, frozen=True):
     """The dials of the safety filter. Lengths in m, times in s, rates in 1/s, speeds in m/s.
 
     `alpha` is the class-K gain, ḣ ≥ −α h; None takes the largest that the acceleration limits can follow,
-    min_i a_i / v_i. `recovery_speed` bounds how fast a violated row asks to be left. `sampling_margin` is what rows keep
-    beyond h = 0 so that a step of finite length ends at h ≥ 0; `rounding_margin` covers float32 (in rad for joint
-    limits). `self_margin` is the clearance between the robot's own parts, `projection_margin` what φ's projection keeps
-    beyond the filter. `tracking_error` bounds |ẏ − u| per joint [rad/s] beyond the body's lag. `stale_after` and
+    min_i a_i / v_i. `recovery_speed` bounds how fast a violated row asks to be left. `sampling_margin` is what rows
+    keep beyond h = 0 so that a step of finite length ends at h ≥ 0; `rounding_margin` covers float32 (in rad for joint
+    limits). `self_margin` is the clearance between the robot's own parts, `projection_margin` what φ's projection
+    keeps beyond the filter. `tracking_error` bounds |ẏ − u| per joint [rad/s] beyond the body's lag. `stale_after` and
     `state_stale_after` are the ages at which moving obstacles and the joint state are no longer believed.
     """
 

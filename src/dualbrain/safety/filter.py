@@ -49,7 +49,6 @@ class SafetyFilter:
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
         self._permits: tuple[Contact, ...] = ()
-        self._tool = np.empty(12 + 6 * body.n)
         self._turn, self._offset = tool_frame(body)
         self._parts = _parts(body)
         links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
@@ -107,13 +106,15 @@ class SafetyFilter:
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
         u = np.empty(self.body.n)
-        status, *rest = self._kernel.step(
-            state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp, u
-        )
-        return Filtered(u, u_nom, self._names, STATUSES[status], *rest)
+        answer = self._kernel.step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp, u)
+        status, flags, delta, by_rows, by_box, h_min, certified, iterations, n_rows, rows = answer
+        return Filtered(
+            u, u_nom, self._names, STATUSES[status], flags, delta, by_rows, by_box, h_min, certified, iterations,
+            n_rows, rows,
+        )  # fmt: skip
 
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
-        """φ's own projection of a wish (n,): known obstacles only, the box around `u_nom_prev`, a little more clearance.
+        """φ's own projection of a wish (n,): known obstacles, the box around `u_nom_prev`, a little more clearance.
 
         Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
         """

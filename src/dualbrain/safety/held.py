@@ -8,8 +8,9 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import matrix
-from dualbrain.records import Capsule, Cylinder, SceneObject, Sphere
+from dualbrain.records import Box, Capsule, Cylinder, Pose, SceneObject, Sphere
 from dualbrain.safety.obstacles import solid
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ def cover(thing: SceneObject, tool_position: Array, tool_rotation: Array) -> Arr
     return np.column_stack([(world - tool_position) @ tool_rotation, spheres[:, 3]])
 
 
-def _local(thing: SceneObject):
+def _local(thing: SceneObject) -> tuple[Array, Pose]:
     shape, pose = solid(thing.shape, thing.pose)
     match thing.shape:
         case Sphere(radius=r):
@@ -34,16 +35,17 @@ def _local(thing: SceneObject):
             return _slices(r, h, 0.0), thing.pose
         case Cylinder(radius=r, half_height=h):
             return min((_slices(r, h, h), _grid((r, r, h))), key=lambda s: _excess(s, (r, r, h))), thing.pose
+        case _ if isinstance(shape, Box):
+            return _grid(shape.half_extents), pose
         case _:
-            extents = getattr(shape, "half_extents", (0.05, 0.05, 0.05))
-            return _grid(extents), pose
+            raise InvalidSetup("a held thing's shape", got=type(shape).__name__, allowed="a bounded solid")
 
 
 def _slices(radius: float, half_length: float, ends: float) -> Array:
     """Spheres along z whose union holds the segment's tube; `ends` > 0 closes a flat-ended cylinder as well."""
     count = MOST if ends == 0.0 else max(1, min(MOST, round(2.0 * half_length / max(radius, 1e-3))))
     step = half_length / count
-    z = -half_length + step * (1.0 + 2.0 * np.arange(count))
+    z = -half_length + step * (1.0 + 2.0 * np.arange(count, dtype=np.float64))
     return np.column_stack([np.zeros(count), np.zeros(count), z, np.full(count, hypot(radius, step))])
 
 
@@ -55,7 +57,9 @@ def _grid(extents: tuple[float, float, float]) -> Array:
 
 def _cells(extents: tuple[float, float, float], divisions: tuple[int, ...]) -> Array:
     half = np.array(extents) / np.array(divisions)
-    axes = [-e + h * (1.0 + 2.0 * np.arange(d)) for e, h, d in zip(extents, half, divisions, strict=True)]
+    axes = [
+        -e + h * (1.0 + 2.0 * np.arange(d, dtype=np.float64)) for e, h, d in zip(extents, half, divisions, strict=True)
+    ]
     centres = np.array(list(product(*axes)))
     return np.column_stack([centres, np.full(len(centres), float(np.linalg.norm(half)))])
 

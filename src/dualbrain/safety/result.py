@@ -14,7 +14,7 @@ RawRow = tuple[int, int, int, float, float]
 
 
 class Status(IntEnum):
-    """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: no control meets all rows; hardest admissible braking.
+    """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: none meets all rows; hardest admissible braking.
 
     STOPPED: the input is bad or stale, or a limit of the kernel was met; braking. FAULT: h ≥ 0 cannot be certified for
     the next step even when braking.
