@@ -67,7 +67,7 @@ class Tool(msgspec.Struct, frozen=True):
 
 
 class Gripper(msgspec.Struct, frozen=True):
-    """A parallel gripper: opening per finger [m], grip force [N], pad length along the tool axis below the tool frame [m]."""
+    """A parallel gripper: opening per finger [m], grip force [N], pad length beyond the tool frame [m]."""
 
     opening: Bound
     force: Bound
@@ -77,7 +77,7 @@ class Gripper(msgspec.Struct, frozen=True):
 
 
 class Tracking(msgspec.Struct, frozen=True):
-    """How the arm follows a velocity command: first-order lag [s] and the bound of what the lag does not explain [rad/s]."""
+    """How the arm follows a velocity command: first-order lag [s], bound of what it leaves unexplained [rad/s]."""
 
     lag: float
     velocity_error: float
@@ -115,7 +115,7 @@ class Body(msgspec.Struct, frozen=True):
 
     @property
     def alpha(self) -> float:
-        """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s] (design 4, row rule 1)."""
+        """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s]."""
         return min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
 
 

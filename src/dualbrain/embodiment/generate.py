@@ -33,7 +33,7 @@ def make_panda(seed: int, options: FitOptions, configurations: int, tell: Tell) 
     joints, links = panda.joints(), panda.links()
     tell(f"self pairs: {configurations} random configurations")
     rng = np.random.default_rng([seed, len(links)])
-    pairs = choose_pairs(joints, links, cover, panda.STATED_PAIRS, configurations, rng)
+    pairs = choose_pairs(joints, links, cover, stated=panda.STATED_PAIRS, count=configurations, rng=rng)
     return Body(
         name="panda",
         source=panda.SOURCE,
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     if asked.body not in MAKERS:
         raise UnknownName("robot", asked.body, tuple(MAKERS))
-    body = MAKERS[asked.body](asked.seed, FitOptions(), CONFIGURATIONS, lambda line: _to_stderr(line))
+    body = MAKERS[asked.body](asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
     asked.out.write_bytes(encode(body))
     _to_stderr(f"{asked.out}: {len(body.spheres)} spheres, {len(body.self_pairs.kept)} link pairs kept")
     return 0

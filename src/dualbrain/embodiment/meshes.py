@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.extras import extra
 from dualbrain.errors import MissingPart, UnknownName
 
 Array = NDArray[np.float64]
@@ -82,11 +82,7 @@ def read_mesh(path: Path) -> Mesh:
     Raises:
         MissingPart: trimesh is not installed.
     """
-    try:
-        import trimesh  # noqa: PLC0415  # heavy, and only the generator and the pictures need it
-    except ImportError as error:
-        raise MissingPart("The package trimesh", fix="Install it with `pip install 'dualbrain[world]'`.") from error
-    raw: Any = trimesh.load_mesh(str(path), process=True)
+    raw = extra("trimesh").load_mesh(str(path), process=True)
     return Mesh(np.asarray(raw.vertices, dtype=np.float64), np.asarray(raw.faces, dtype=np.int64))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dualbrain.embodiment.body import Bound, Gripper, Joint, Link, Quaternion, Tool, Tracking, Vector
-from dualbrain.embodiment.sphere_fit import LinkCover
+from dualbrain.embodiment.cover_problem import LinkCover
 
 SOURCE = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
 LICENCE = "Apache-2.0"
@@ -49,24 +49,35 @@ GRIPPER = Gripper(
     finger_thickness=0.0264,
 )
 
+UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+LEFT, RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
+FRONT, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+
+WRIST = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
+"""Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
+
 COVER = {
-    "link0": LinkCover("link0", 4, faces=(((0.0, 0.0, -1.0), 0.2),)),
-    "link1": LinkCover("link1", 5),
-    "link2": LinkCover("link2", 6),
+    "link0": LinkCover("link0", 3, faces=((DOWN, 0.2),)),
+    "link1": LinkCover("link1", 4),
+    "link2": LinkCover("link2", 4),
     "link3": LinkCover("link3", 5),
     "link4": LinkCover("link4", 5),
-    "link5": LinkCover("link5", 7),
+    "link5": LinkCover("link5", 8, placed=WRIST),
     "link6": LinkCover("link6", 5),
-    "link7": LinkCover("link7", 7, faces=(((0.0, 0.0, -1.0), 0.5),)),
-    "hand": LinkCover("hand", 32, faces=(((0.0, 0.0, -1.0), 0.5),)),
+    "link7": LinkCover("link7", 8),
+    "hand": LinkCover("hand", 30, faces=((DOWN, 0.5),)),
     "left_finger": LinkCover(
         "finger",
-        14,
-        faces=(((0.0, 0.0, -1.0), 0.25), ((0.0, -1.0, 0.0), 1.25), ((0.0, 0.0, 1.0), 1.25)),
-        zones=((2, 0.034, 0.06, 2.0),),
+        16,
+        faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
+        zones=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
     ),
 }
-"""Wanted cover of each link; the right finger is the left one turned half around z, as in the URDF."""
+"""Wanted cover of each link, 104 balls with both fingers; the right finger is the left one turned half around z.
+
+A finger points along +z and its pad faces -y: what bulges there costs gap and grasp, what bulges into the hand costs
+nothing. The base stands on the table, so the underside of link0 is loose.
+"""
 
 STATED_PAIRS = {
     ("left_finger", "right_finger"): "the gripper's own motion; opposite fingers close on each other by design",

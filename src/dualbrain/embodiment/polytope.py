@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.extras import extra
 from dualbrain.embodiment.meshes import Mesh
 from dualbrain.errors import InvalidSetup
 
@@ -43,9 +43,7 @@ def convex_hull(mesh: Mesh) -> Polytope:
     Raises:
         InvalidSetup: the mesh is not convex to within `CONVEX_TOLERANCE`, so a hull would not describe it.
     """
-    from scipy.spatial import ConvexHull  # noqa: PLC0415  # scipy belongs to the `world` extra
-
-    hull: Any = ConvexHull(mesh.vertices)
+    hull = extra("scipy.spatial").ConvexHull(mesh.vertices)
     planes = np.unique(np.round(np.asarray(hull.equations, dtype=np.float64), 9), axis=0)
     polytope = Polytope(planes[:, :3], -planes[:, 3])
     deepest = float(np.max(polytope.depth(mesh.triangles.mean(axis=1))))

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each] and finger forces [N]."""
+    """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each], finger forces [N]."""
 
     stamp: float
     sequence: int

@@ -76,9 +76,9 @@ def least_clearances(
         turns, origins = chain_frames(joints, batch)
         for opening in openings:
             at = {link.name: placed_centres(link, cover[link.name].centres, turns, origins, opening) for link in links}
-            for a, b in least:
+            for (a, b), before in least.items():
                 gap = link_clearance(at[a], at[b], cover[a].radii, cover[b].radii)
-                least[a, b] = min(least[a, b], float(gap.min()))
+                least[a, b] = min(before, float(gap.min()))
     return least
 
 
@@ -86,6 +86,7 @@ def choose_pairs(
     joints: tuple[Joint, ...],
     links: tuple[Link, ...],
     cover: dict[str, Balls],
+    *,
     stated: dict[tuple[str, str], str],
     count: int,
     rng: np.random.Generator,

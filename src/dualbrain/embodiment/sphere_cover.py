@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.extras import extra
 from dualbrain.embodiment.meshes import Mesh
 
 Array = NDArray[np.float64]
@@ -67,17 +67,19 @@ def _quartered(triangles: Array) -> Array:
     return np.concatenate([np.stack(part, axis=1) for part in parts])
 
 
-def proven_inflation(mesh: Mesh, balls: Balls, accuracy: float = 2e-5) -> float:
-    """Least amount [m], to `accuracy`, by which all radii must grow until `proven_covered` says yes."""
+def proven_inflation(mesh: Mesh, placed: Balls, fitted: Balls, accuracy: float = 2e-5) -> float:
+    """Least amount [m], to `accuracy`, by which `fitted` radii must grow until both sets are proven to cover `mesh`."""
+    centres = np.vstack([placed.centres, fitted.centres])
+
+    def enough(amount: float) -> bool:
+        return proven_covered(mesh, Balls(centres, np.concatenate([placed.radii, fitted.radii + amount])))
+
     low, high = 0.0, 1e-4
-    while not proven_covered(mesh, Balls(balls.centres, balls.radii + high)):
+    while not enough(high):
         low, high = high, 2 * high
     while high - low > accuracy:
         middle = 0.5 * (low + high)
-        if proven_covered(mesh, Balls(balls.centres, balls.radii + middle)):
-            high = middle
-        else:
-            low = middle
+        low, high = (low, middle) if enough(middle) else (middle, high)
     return high
 
 
@@ -93,10 +95,8 @@ def union_surface(balls: Balls, count: int, rng: np.random.Generator) -> Array:
 
 def distance_outside(mesh: Mesh, points: Array) -> Array:
     """Distance [m] of each point to the solid inside `mesh`, 0 for points in it; `mesh` is convex and closed."""
-    import trimesh  # noqa: PLC0415  # heavy, and only the generator needs it
-
     triangles = mesh.triangles
-    closest: Any = trimesh.triangles.closest_point
+    closest = extra("trimesh.triangles").closest_point
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals, triangles = normals[length > 0] / length[length > 0, None], triangles[length > 0]
@@ -110,7 +110,7 @@ def distance_outside(mesh: Mesh, points: Array) -> Array:
 
 
 def measure_excess(mesh: Mesh, balls: Balls, count: int, rng: np.random.Generator) -> Excess:
-    """Excess of `balls` over the convex `mesh` from `count` draws on their surface and as many in their bounding box."""
+    """Excess of `balls` over the convex `mesh` from `count` draws on their surface and in their bounding box."""
     off = distance_outside(mesh, union_surface(balls, count, rng))
     low = np.min(balls.centres - balls.radii[:, None], axis=0)
     high = np.max(balls.centres + balls.radii[:, None], axis=0)

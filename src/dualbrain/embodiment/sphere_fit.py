@@ -13,82 +13,39 @@ with a weight w_k for every face and w_p for every surface point: 2 where a bulg
 2. Alternation: each point goes to the ball that must grow least for it; each ball moves to the centre at which its own
    points need the least bulge. The second step is convex (a maximum of distances minus a minimum of affine functions)
    and is solved to 1 µm by cutting planes. Neither step can raise the maximum.
-3. The best of several starts is inflated until the cover is proven for whole triangles (sphere_cover.py).
+3. Trades leave local minima: the ball that is missed least is moved to where the bulge is largest.
+4. The best of several starts is inflated until the cover is proven for whole triangles (sphere_cover.py).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Vector
+from dualbrain.embodiment.cover_problem import LinkCover, Problem, pose_problem
+from dualbrain.embodiment.extras import extra
 from dualbrain.embodiment.meshes import Mesh
-from dualbrain.embodiment.polytope import Polytope, convex_hull, surface_points
+from dualbrain.embodiment.polytope import Polytope
 from dualbrain.embodiment.sphere_cover import Balls, proven_inflation
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class LinkCover:
-    """What is wanted for one link: its collision `mesh`, how many `balls`, and where a bulge hurts more or less.
+class FitOptions:
+    """How hard to try.
 
-    `faces`: (outward direction, weight) for faces whose normal lies within 37 degrees of it. `zones`: (axis, from [m],
-    to [m], weight) for surface points in that slab.
+    Surface `points` and `candidates` per start, `starts`, `rounds` of alternation, failed `trades` that end a start.
     """
 
-    mesh: str
-    balls: int
-    faces: tuple[tuple[Vector, float], ...] = ()
-    zones: tuple[tuple[int, float, float, float], ...] = ()
-
-    def face_weights(self, normals: Array) -> Array:
-        """w_k of faces with outward unit `normals` (k, 3)."""
-        weights = np.ones(len(normals))
-        for direction, weight in self.faces:
-            weights[normals @ np.array(direction) > 0.8] = weight
-        return weights
-
-    def point_weights(self, points: Array) -> Array:
-        """w_p of surface points (p, 3)."""
-        weights = np.ones(len(points))
-        for axis, low, high, weight in self.zones:
-            weights[(points[:, axis] >= low) & (points[:, axis] <= high)] = weight
-        return weights
-
-
-@dataclass(frozen=True, slots=True)
-class FitOptions:
-    """How hard to try: surface `points` and `candidates` per start, `starts`, `rounds` of alternation per start."""
-
-    points: int = 1500
-    candidates: int = 2500
+    points: int = 800
+    candidates: int = 1500
     starts: int = 2
-    rounds: int = 25
+    rounds: int = 20
+    trades: int = 4
     bisections: int = 9
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One start: the solid with its face weights (k,), surface points (p, 3) with theirs (p,)."""
-
-    solid: Polytope
-    face_weights: Array
-    points: Array
-    point_weights: Array
-
-    def costs(self, centres: Array) -> Array:
-        """Weighted bulge (p, b) that ball b has when it just reaches point p."""
-        reach = np.linalg.norm(self.points[:, None] - centres[None], axis=2)
-        slack = self.solid.slack(centres)
-        cost = np.full_like(reach, -np.inf)
-        for weight in np.unique(self.face_weights):
-            depth = np.min(slack[:, self.face_weights == weight], axis=1)
-            cost = np.maximum(cost, weight * (reach - depth))
-        return self.point_weights[:, None] * cost
 
 
 def fit_cover(mesh: Mesh, wanted: LinkCover, rng: np.random.Generator, options: FitOptions) -> Balls:
@@ -96,20 +53,22 @@ def fit_cover(mesh: Mesh, wanted: LinkCover, rng: np.random.Generator, options: 
 
     Deterministic for equal inputs and generator state.
     """
-    solid = convex_hull(mesh)
-    faces = wanted.face_weights(solid.normals)
+    placed = Balls(
+        np.array([centre for centre, _ in wanted.placed]).reshape(-1, 3),
+        np.array([radius for _, radius in wanted.placed]),
+    )
     best: Array | None = None
     best_bulge = np.inf
     for _ in range(options.starts):
-        points = np.vstack([mesh.vertices, surface_points(mesh, options.points, rng)])
-        problem = Problem(solid, faces, points, wanted.point_weights(points))
-        centres, bulge = _alternate(problem, _start(problem, wanted.balls, rng, options), options)
+        problem = pose_problem(mesh, wanted, placed, options.points, rng)
+        start = _start(problem, wanted.balls - len(placed.radii), rng, options)
+        centres, bulge = _trade(problem, *_alternate(problem, start, options.rounds), options)
         if bulge < best_bulge:
             best, best_bulge = centres, bulge
     assert best is not None
-    points = np.vstack([mesh.vertices, surface_points(mesh, 10 * options.points, rng)])
-    problem = Problem(solid, faces, points, wanted.point_weights(points))
-    return _inflate(mesh, _radii(problem, best))
+    problem = pose_problem(mesh, wanted, placed, 10 * options.points, rng)
+    centres, _ = _alternate(problem, best, options.rounds)
+    return _inflate(mesh, placed, _radii(problem, centres))
 
 
 def _start(problem: Problem, count: int, rng: np.random.Generator, options: FitOptions) -> Array:
@@ -122,7 +81,7 @@ def _start(problem: Problem, count: int, rng: np.random.Generator, options: FitO
     for _ in range(options.bisections):
         bar = 0.5 * (low + high)
         centres = _medial(problem.solid, bar / problem.face_weights, inside)
-        picked = _greedy(problem.costs(centres).T <= bar, count)
+        picked = _greedy(bar >= problem.costs(centres).T, count)
         if picked is None:
             low = bar
         else:
@@ -160,20 +119,46 @@ def _greedy(covers: NDArray[np.bool_], count: int) -> list[int] | None:
     return None if left.any() else picked
 
 
-def _alternate(problem: Problem, centres: Array, options: FitOptions) -> tuple[Array, float]:
+def _alternate(problem: Problem, centres: Array, rounds: int) -> tuple[Array, float]:
     """Assign points, move balls, until the largest bulge stops falling; returns the best centres and their bulge."""
     best, best_bulge, stalled = centres, np.inf, 0
-    for _ in range(options.rounds):
+    before = np.full(len(problem.points), -1)
+    for _ in range(rounds):
         cost = problem.costs(centres)
         owner = np.argmin(cost, axis=1)
         bulge = float(np.max(np.min(cost, axis=1)))
         stalled = 0 if bulge < best_bulge - 2e-5 else stalled + 1
         if bulge < best_bulge:
             best, best_bulge = centres, bulge
-        if stalled > 3:
+        if stalled > 2:
             break
-        centres = np.array([_least_bulge(problem, owner == i, centre) for i, centre in enumerate(centres)])
+        stay = [np.array_equal(owner == i, before == i) for i in range(len(centres))]
+        centres = np.array([c if stay[i] else _least_bulge(problem, owner == i, c) for i, c in enumerate(centres)])
+        before = owner
     return best, best_bulge
+
+
+def _trade(problem: Problem, centres: Array, bulge: float, options: FitOptions) -> tuple[Array, float]:
+    """Moves the ball that is missed least to where the bulge is largest and alternates again, while that helps.
+
+    The trades are tried in the order of how little the removed ball is missed; the new ball starts at the worst point
+    pulled half way to its owner.
+    """
+    tried = 0
+    while tried < options.trades:
+        cost = problem.costs(centres)
+        missed = [float(np.max(np.min(np.delete(cost, i, axis=1), axis=1))) for i in range(len(centres))]
+        worst = int(np.argmax(np.min(cost, axis=1)))
+        owner = int(np.argmin(cost[worst]))
+        order = [int(i) for i in np.argsort(missed, kind="stable") if i != owner]
+        moved = centres.copy()
+        moved[order[tried % len(order)]] = 0.5 * (problem.points[worst] + centres[owner])
+        fresh, fresh_bulge = _alternate(problem, moved, options.rounds)
+        if fresh_bulge < bulge - 2e-5:
+            centres, bulge, tried = fresh, fresh_bulge, 0
+        else:
+            tried += 1
+    return centres, bulge
 
 
 def _least_bulge(problem: Problem, mine: NDArray[np.bool_], centre: Array) -> Array:
@@ -183,8 +168,6 @@ def _least_bulge(problem: Problem, mine: NDArray[np.bool_], centre: Array) -> Ar
     r >= u.(p - c) for unit vectors u, each a valid lower bound of |p - c|; every round adds the directions to the
     farthest points at the newest c. Points of lesser weight get their own r.
     """
-    from scipy.optimize import linprog  # noqa: PLC0415  # scipy belongs to the `world` extra
-
     classes = [(w, problem.points[mine & (problem.point_weights == w)]) for w in np.unique(problem.point_weights[mine])]
     if not classes:
         return centre
@@ -207,7 +190,9 @@ def _least_bulge(problem: Problem, mine: NDArray[np.bool_], centre: Array) -> Ar
         if bulge < best_bulge:
             best, best_bulge = centre, bulge
         target = np.eye(4 + len(classes))[-1]
-        answer: Any = linprog(target, A_ub=rows, b_ub=limits, bounds=[(None, None)] * len(target), method="highs")
+        answer = extra("scipy.optimize").linprog(
+            target, A_ub=rows, b_ub=limits, bounds=[(None, None)] * len(target), method="highs"
+        )
         if answer.status != 0:
             break
         centre = np.asarray(answer.x[:3], dtype=np.float64)
@@ -233,8 +218,8 @@ def _radii(problem: Problem, centres: Array) -> Balls:
     return Balls(centres, np.array([reach[owner == i].max(initial=1e-3) for i in range(len(centres))]))
 
 
-def _inflate(mesh: Mesh, balls: Balls) -> Balls:
-    """Radii grown alike by the least amount with which the cover is proven, then rounded up to 10 µm."""
-    rounded = np.round(balls.centres, 5)
-    grown = proven_inflation(mesh, Balls(rounded, balls.radii))
-    return Balls(rounded, np.ceil((balls.radii + grown) * 1e5 - 1e-9) / 1e5)
+def _inflate(mesh: Mesh, placed: Balls, fitted: Balls) -> Balls:
+    """All balls, the fitted ones grown alike by the least amount that proves the cover; radii rounded up to 10 µm."""
+    rounded = Balls(np.round(fitted.centres, 5), fitted.radii)
+    grown = np.ceil((fitted.radii + proven_inflation(mesh, placed, rounded)) * 1e5 - 1e-9) / 1e5
+    return Balls(np.vstack([placed.centres, rounded.centres]), np.concatenate([placed.radii, grown]))

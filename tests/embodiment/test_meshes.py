@@ -1,0 +1,57 @@
+"""Finding and reading the asset's meshes, and what is said when they are not there."""
+
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+from dualbrain.embodiment import meshes
+from dualbrain.embodiment.meshes import Mesh, collision_mesh, description_directory, mesh_file
+from dualbrain.embodiment.polytope import convex_hull, surface_points
+from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
+
+
+def test_the_description_is_found_and_holds_its_urdf():
+    assert (description_directory("panda") / "urdf" / "panda.urdf").is_file()
+    assert mesh_file("panda", "visual", "hand").suffix == ".dae"
+
+
+def test_an_absent_package_names_the_mend(monkeypatch):
+    def absent(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(meshes.metadata, "files", absent)
+    with pytest.raises(MissingPart, match="pip install --no-deps example-robot-data"):
+        description_directory("panda")
+
+
+def test_a_package_without_the_robot_is_a_missing_part(monkeypatch):
+    monkeypatch.setattr(meshes.metadata, "files", lambda _: [])
+    with pytest.raises(MissingPart, match="description of 'panda'"):
+        description_directory("panda")
+
+
+def test_unknown_robots_and_meshes_are_refused():
+    with pytest.raises(UnknownName):
+        description_directory("pandas")
+    with pytest.raises(MissingPart):
+        mesh_file("panda", "collision", "link9")
+
+
+def test_the_finger_mesh_ends_where_the_pad_ends():
+    finger = collision_mesh("panda", "finger")
+    assert finger.vertices[:, 2].max() == pytest.approx(0.0538, abs=2e-4)
+    assert finger.areas.sum() == pytest.approx(0.0050, rel=0.02)
+
+
+def test_surface_points_lie_on_the_hull_of_a_convex_mesh():
+    mesh = collision_mesh("panda", "hand")
+    depth = convex_hull(mesh).depth(surface_points(mesh, 2000, np.random.default_rng(0)))
+    assert np.all(np.abs(depth) < 1e-3)
+
+
+def test_a_mesh_that_is_not_convex_is_refused():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.1, 0.1, 0.1]], dtype=float)
+    dented = Mesh(corners, np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 4], [1, 3, 4], [2, 3, 4]]))
+    with pytest.raises(InvalidSetup, match="convex"):
+        convex_hull(dented)
