@@ -10,6 +10,7 @@ consecutive ticks of the same kind between the same bodies are one `Violation`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ import mujoco
 import numpy as np
 
 from dualbrain.records import Violation
-from dualbrain.world.contact_rules import ENVIRONMENT, HUMAN, Allowance, ContactRules
+from dualbrain.world.contact_rules import ENVIRONMENT, HUMAN, SELF, Allowance, ContactRules
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PREFIX
 from dualbrain.world.thing_watch import ThingWatch
@@ -29,6 +30,7 @@ JOINT_TOLERANCE = 1e-3  # [rad]
 SPEED_TOLERANCE = 1.01
 SLOW_EVERY = 10  # ticks between looks at poses and tool speed
 
+BY_VERDICT = {ENVIRONMENT: "collision_env", HUMAN: "collision_human", SELF: "self_collision"}
 UNITS = {
     "collision_env": "N", "collision_human": "N", "self_collision": "N", "force_fragile": "N", "joint_limit": "rad",
     "joint_velocity": "rad/s", "tcp_speed": "m/s", "object_dropped": "m", "bystander": "m", "bystander_tilt": "rad",
@@ -54,17 +56,22 @@ class Monitor:
         self._plant, self._model, self._data = plant, plant.model, plant.data
         self._rules = ContactRules(plant.model, plant.spec)
         self._things = ThingWatch(plant)
-        joints = plant.body.joints
-        self._lower = np.array([joint.lower.value for joint in joints]) - JOINT_TOLERANCE
-        self._upper = np.array([joint.upper.value for joint in joints]) + JOINT_TOLERANCE
-        self._fastest = SPEED_TOLERANCE * np.array([joint.velocity.value for joint in joints])
+        lower, upper, fastest = (
+            [getattr(j, k).value for j in plant.body.joints] for k in ("lower", "upper", "velocity")
+        )
+        self._middle, self._n = 0.5 * np.add(lower, upper), plant.body.n
+        self._half = 0.5 * np.subtract(upper, lower)
+        self._bounds = np.r_[self._half + JOINT_TOLERANCE, SPEED_TOLERANCE * np.array(fastest)]
+        self._state = np.zeros(2 * self._n)
         self._tool_speed = plant.body.tool_speed.value
         self._tool = int(plant.model.site(f"{PREFIX}tcp").id)
-        self._qpos, self._dofs = plant.arm_slices
+        q, v = plant.arm_slices
+        self._q, self._v = plant.data.qpos[q], plant.data.qvel[v]  # views: they follow the simulation
+        self._stride = np.array([plant.model.ngeom, 1])
         self._open: dict[tuple[str, tuple[str, ...]], _Breach] = {}
         self._closed: list[_Breach] = []
         self._perceived: frozenset[str] | None = None
-        self._ticks, self._wrench = 0, np.zeros(6)
+        self._ticks, self._wrench, self._motion = 0, np.zeros(6), np.zeros(6)
         self.allow()
 
     def allow(
@@ -73,9 +80,8 @@ class Monitor:
         """Declare what the running skill may touch from now on (phases: `contact_rules.PHASES`)."""
         allowance = Allowance(target, held, destination, phase)
         self._verdicts = self._rules.table(allowance)
-        self._judged = (
-            (self._verdicts != 0) | np.isfinite(self._rules.fragile)[:, None] | np.isfinite(self._rules.fragile)
-        )
+        fragile = np.isfinite(self._rules.fragile)
+        self._judged = ((self._verdicts != 0) | fragile[:, None] | fragile).ravel()
         self._things.allow(allowance)
 
     def perceive(self, names: Iterable[str]) -> None:
@@ -105,42 +111,48 @@ class Monitor:
     # --- the checks ---------------------------------------------------------------------------------------------
 
     def _contacts(self, now: float) -> None:
-        pairs = self._data.contact.geom
-        for index in self._judged[pairs[:, 0], pairs[:, 1]].nonzero()[0].tolist():
-            self._contact(index, int(pairs[index, 0]), int(pairs[index, 1]), now)
+        """Judge each pair of bodies in touch by the sum of the normal forces between them."""
+        pairs, rules = self._data.contact.geom, self._rules
+        hits = self._judged[pairs.dot(self._stride)].nonzero()[0]
+        if not hits.size:
+            return
+        touches: dict[tuple[str, str, int], tuple[float, float]] = {}
+        for index in hits.tolist():
+            first, second = pairs[index].tolist()
+            one, other = sorted((rules.owner[first], rules.owner[second]))
+            key = (one, other, int(self._verdicts[first, second]))
+            mujoco.mj_contactForce(self._model, self._data, index, self._wrench)
+            force, limit = touches.get(key, (0.0, math.inf))
+            limit = min(limit, float(rules.fragile[first]), float(rules.fragile[second]))
+            touches[key] = (force + float(self._wrench[0]), limit)
+        for (one, other, verdict), (force, limit) in touches.items():
+            self._touch((one.removeprefix(PREFIX), other.removeprefix(PREFIX)), verdict, force, limit, now=now)
 
-    def _contact(self, index: int, first: int, second: int, now: float) -> None:
-        mujoco.mj_contactForce(self._model, self._data, index, self._wrench)
-        force, rules = float(self._wrench[0]), self._rules
-        bodies = tuple(sorted(rules.owner[geom].removeprefix(PREFIX) for geom in (first, second)))
-        limit = min(rules.fragile[first], rules.fragile[second])
+    def _touch(self, bodies: tuple[str, str], verdict: int, force: float, limit: float, *, now: float) -> None:
         if force > limit:
-            self._breach("force_fragile", bodies, force, now)
-        verdict = int(self._verdicts[first, second])
-        if verdict == HUMAN:
-            self._breach("collision_human", bodies, force, now)
-        elif verdict == ENVIRONMENT:
-            if force > CONTACT_FORCE:
-                self._breach("collision_env", bodies, force, now)
-        elif verdict:
-            self._breach("self_collision", bodies, force, now)
+            self._breach("force_fragile", tuple(sorted(bodies)), force, now)
+        kind = BY_VERDICT.get(verdict)
+        if kind is not None and (verdict != ENVIRONMENT or force > CONTACT_FORCE):
+            self._breach(kind, tuple(sorted(bodies)), force, now)
 
     def _joints(self, now: float) -> None:
-        q, v = self._data.qpos[self._qpos], self._data.qvel[self._dofs]
-        fast = abs(v) > self._fastest
-        if fast.any():
-            for joint in fast.nonzero()[0].tolist():
-                self._breach("joint_velocity", (f"joint{joint + 1}",), abs(float(v[joint])), now)
-        out = (q < self._lower) | (q > self._upper)
-        if out.any():
-            for joint in out.nonzero()[0].tolist():
-                past = max(self._lower[joint] - q[joint], q[joint] - self._upper[joint]) + JOINT_TOLERANCE
-                self._breach("joint_limit", (f"joint{joint + 1}",), float(past), now)
+        state, n = self._state, self._n
+        np.subtract(self._q, self._middle, out=state[:n])
+        state[n:] = self._v
+        np.abs(state, out=state)
+        over = state > self._bounds
+        if not over.any():
+            return
+        for index in over.nonzero()[0].tolist():
+            if index < n:
+                self._breach("joint_limit", (f"joint{index + 1}",), float(state[index] - self._half[index]), now)
+            else:
+                self._breach("joint_velocity", (f"joint{index - n + 1}",), float(state[index]), now)
 
     def _slow(self, now: float) -> None:
-        motion = np.zeros(6)
+        motion = self._motion
         mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self._tool, motion, 0)
-        speed = float(np.linalg.norm(motion[3:]))
+        speed = math.hypot(*motion[3:].tolist())
         if speed > self._tool_speed * SPEED_TOLERANCE:
             self._breach("tcp_speed", ("tcp",), speed, now)
         for kind, name, peak in self._things.look(self._rules):

@@ -27,6 +27,7 @@ from dualbrain.world.scene_spec import SceneSpec
 
 ARM_GROUP = 1
 BRAKE_TORQUE = (120.0, 120.0, 120.0, 120.0, 30.0, 30.0, 30.0)  # [Nm] holding torque, above the motors' own limits
+BRAKE_SOLREF, BRAKE_SOLIMP = (2.0 * PERIOD, 1.0), (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # hard enough not to creep
 FINGER_SPEED = 0.05  # [m/s each], data sheet of the hand
 FINGER_LEAD = 0.002  # [m] by which the finger set point may run ahead beyond what the force needs
 OPENING_FORCE = 20.0  # [N] per finger available to open, whatever the grip force
@@ -175,6 +176,7 @@ class Plant:
         self._arm = slice(int(arm[0].qposadr[0]), int(arm[-1].qposadr[0]) + 1)
         self._fingers = slice(int(fingers[0].qposadr[0]), int(fingers[1].qposadr[0]) + 1)
         self._dof = slice(int(arm[0].dofadr[0]), int(arm[-1].dofadr[0]) + 1)
+        self.model.dof_solref[self._dof], self.model.dof_solimp[self._dof] = BRAKE_SOLREF, BRAKE_SOLIMP
         self._finger_dofs = slice(int(fingers[0].dofadr[0]), int(fingers[1].dofadr[0]) + 1)
         drives = [int(model.actuator(f"{PREFIX}actuator{index + 1}").id) for index in range(n)]
         self._drives = slice(drives[0], drives[-1] + 1)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from dualbrain.errors import UnknownName
@@ -44,6 +45,8 @@ GLASS = Cylinder(radius=0.024, half_height=0.045)
 
 Height = Literal["low", "hand_high", "tall"]
 HEIGHTS: dict[Height, tuple[float, float]] = {"low": (0.045, 0.065), "hand_high": (0.08, 0.12), "tall": (0.15, 0.23)}
+GAPS: dict[Height, tuple[float, float]] = {"low": (0.04, 0.08), "hand_high": (0.04, 0.08), "tall": (0.055, 0.08)}
+NARROW_GAP = (0.02, 0.04)
 COLOURS = ("green", "yellow", "orange", "purple", "teal", "white", "brown", "grey", "pink", "black")
 CATEGORIES: dict[Height, tuple[str, ...]] = {
     "low": ("tin", "block"),
@@ -158,16 +161,12 @@ def _edge(draft: _Draft) -> None:
 def _fragile(draft: _Draft) -> None:
     """A thin glass that breaks above 15-25 N stands near the way; it can be the errand itself."""
     _errand(draft)
+    _neighbour(draft, _one(draft.rng, "low", "hand_high"))
     rng = draft.rng
     x, y = _spot(draft, (0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
+    glass = Thing("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8)
     limit = round(float(rng.uniform(15.0, 25.0)), 1)
-    draft.add(
-        Thing(
-            "clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass",
-            friction=0.8, fragile_limit=limit,
-        )
-    )  # fmt: skip
-    _neighbour(draft, _one(draft.rng, "low", "hand_high"))
+    draft.add(msgspec.structs.replace(glass, fragile_limit=limit))
     _scatter(draft, int(rng.integers(1, 3)), ("low",))
 
 
@@ -206,9 +205,8 @@ def _neighbour(draft: _Draft, height: Height) -> None:
     rng, cube = draft.rng, draft.things[0]
     face = int(rng.integers(4))
     narrow = height == "low" and rng.random() < 0.5
-    gap = (
-        rng.uniform(0.02, 0.04) if narrow else rng.uniform(0.055, 0.08) if height == "tall" else rng.uniform(0.04, 0.08)
-    )
+    lower, upper = NARROW_GAP if narrow else GAPS[height]
+    gap = rng.uniform(lower, upper)
     yaw = 2.0 * float(np.arctan2(cube.quaternion[3], cube.quaternion[0])) + face * np.pi / 2
     shape, category = _shape(rng, height)
     away = CUBE.half_extents[0] + gap + _half_width(shape)

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.world.contact_rules import Allowance, ContactRules
 from dualbrain.world.plant import Plant
 
 MOVED = 0.02  # [m]
 TILTED = float(np.deg2rad(15.0))  # [rad]
+COS_HALF_TILTED = float(np.cos(TILTED / 2))
 BELOW = -0.01  # [m] height of a centre that has left the table
 FALL = 0.05  # [m]
 FALL_SPEED = 0.3  # [m/s] downward, from which a motion may be a fall
@@ -29,9 +31,9 @@ class ThingWatch:
         self._model, self._data = plant.model, plant.data
         self.names = plant.names
         self._free = [thing.name for thing in plant.spec.things if not thing.fixed]
-        self._body = np.array([plant.model.body(name).id for name in self._free])
-        self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free])
-        self._start: tuple[np.ndarray, np.ndarray] | None = None
+        self._body = np.array([plant.model.body(name).id for name in self._free], int)
+        self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free], int)
+        self._start: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._involved: set[str] = set()
         self._top: dict[str, float] = {}
         self._releasing = False
@@ -50,10 +52,20 @@ class ThingWatch:
         """Every (kind, name, peak) that is breached now."""
         assert self._start is not None
         position, quaternion = self._data.xpos[self._body], self._data.xquat[self._body]
-        moved = np.linalg.norm(position - self._start[0], axis=1)
-        cosine = np.abs((quaternion * self._start[1]).sum(axis=1)).clip(0.0, 1.0)
-        turned = 2.0 * np.arccos(cosine)
-        for index in ((moved > MOVED) | (turned > TILTED)).nonzero()[0].tolist():
+        away = position - self._start[0]
+        moved = (away * away).sum(axis=1)
+        cosine = np.abs((quaternion * self._start[1]).sum(axis=1))
+        suspects = (moved > MOVED**2) | (cosine < COS_HALF_TILTED)
+        if suspects.any():
+            yield from self._bystanders(suspects, np.sqrt(moved), 2.0 * np.arccos(cosine.clip(0.0, 1.0)))
+        height, rise = position[:, 2], self._data.qvel[self._dof + 2]
+        if self._top or ((rise < -FALL_SPEED) | (height < BELOW)).any():
+            yield from self._falls(height, rise, rules)
+
+    def _bystanders(
+        self, suspects: NDArray[np.bool_], moved: NDArray[np.float64], turned: NDArray[np.float64]
+    ) -> Iterator[tuple[str, str, float]]:
+        for index in suspects.nonzero()[0].tolist():
             name = self._free[index]
             if name in self._involved:
                 continue
@@ -61,9 +73,10 @@ class ThingWatch:
                 yield "bystander", name, float(moved[index])
             if turned[index] > TILTED:
                 yield "bystander_tilt", name, float(turned[index])
-        yield from self._falls(position[:, 2], self._data.qvel[self._dof + 2], rules)
 
-    def _falls(self, height: np.ndarray, rise: np.ndarray, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
+    def _falls(
+        self, height: NDArray[np.float64], rise: NDArray[np.float64], rules: ContactRules
+    ) -> Iterator[tuple[str, str, float]]:
         for index, name in enumerate(self._free):
             if height[index] < BELOW:
                 yield "object_dropped", name, float(-height[index])

@@ -1,0 +1,71 @@
+"""A scripted hand for tests: inverse kinematics on the simulator's own Jacobian and a joint-space servo."""
+
+import mujoco
+import numpy as np
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import Command
+from dualbrain.world.plant import Plant
+from dualbrain.world.scenes import make_scene
+
+BODY = load_body("panda")
+HOME = np.array(BODY.home)
+
+
+def plant(family="bare", seed=0, **options):
+    return Plant(make_scene(family, seed), BODY, **options)
+
+
+def yaw_of(pose):
+    w, _, _, z = pose.quaternion
+    return 2.0 * np.arctan2(z, w)
+
+
+def top_down(p, position, yaw):
+    """Joint angles that put the tool at `position`, pointing down, fingers along the y of `yaw`."""
+    model, data = p.model, mujoco.MjData(p.model)
+    data.qpos[:] = p.data.qpos
+    arm, dofs = p.arm_slices
+    site, jacobian = model.site("robot/tcp").id, np.zeros((6, model.nv))
+    c, s = np.cos(yaw), np.sin(yaw)
+    goal, q = np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]]), HOME.copy()
+    for _ in range(100):
+        data.qpos[arm] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+        now = data.site_xmat[site].reshape(3, 3)
+        turn = 0.5 * sum(np.cross(now[:, k], goal[:, k]) for k in range(3))
+        error = np.r_[np.asarray(position) - data.site_xpos[site], turn]
+        J = jacobian[:, dofs]
+        q = q + J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), error)
+    assert np.linalg.norm(error) < 1e-4, "out of reach"
+    return q
+
+
+def servo(p, q, seconds, *, opening=0.04, force=20.0, speed=0.35, each=None):
+    """Go to `q` by proportional joint velocity; `each` is called after every tick."""
+    for _ in range(int(seconds * 1000)):
+        u = np.clip(6.0 * (q - p.read().q), -speed, speed)
+        p.write(Command(u, opening, force))
+        p.advance()
+        if each is not None:
+            each()
+
+
+def rest(p, seconds, each=None):
+    for _ in range(int(seconds * 1000)):
+        p.advance()
+        if each is not None:
+            each()
+
+
+def pick(p, name, *, force=20.0, each=None):
+    """Grasp a thing from the top and lift it by 15 cm; contact only."""
+    pose = p.truth(name)
+    at, yaw = np.array(pose.position), yaw_of(pose)
+    over, on = top_down(p, np.add(at, [0, 0, 0.12]), yaw), top_down(p, np.add(at, [0, 0, 0.004]), yaw)
+    servo(p, over, 1.6, force=force, each=each)
+    servo(p, on, 1.0, force=force, each=each)
+    servo(p, on, 0.6, opening=0.0, force=force, each=each)
+    servo(p, top_down(p, np.add(at, [0, 0, 0.15]), yaw), 1.3, opening=0.0, force=force, each=each)
