@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CELL = 0.006
+CELL = 0.008
 """Details of the robot's surface below this size [m] are not sent to the browser, which may have no graphics card."""
 
 CLEARANCES = (0.0, 0.01, 0.03, 0.08)

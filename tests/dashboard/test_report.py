@@ -1,0 +1,177 @@
+"""The report: self-contained, escaped, small, and sensible for every way a run can end."""
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.dashboard.numbers import key_numbers
+from dualbrain.dashboard.page import Html, element, table
+from dualbrain.dashboard.plots import envelope
+from dualbrain.dashboard.report import Snapshot, render_report, write_report
+from dualbrain.records import Attempt, Episode, Outcome, SceneObject
+from dualbrain.runtime.trace import Trace
+
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
+EMPTY = Trace(7)
+VOID = ("img", "meta", "br")
+
+
+class _Page(HTMLParser):
+    """Tags, attributes and text of a page; checks that elements nest."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.text = ""
+        self._open: list[str] = []
+        self.feed(page)
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def value(self, name: str) -> str | None:
+        """The exact value of a key number."""
+        at = self.attributes.index(("id", f"number-{name}"))
+        return dict(self.attributes[at : at + 2])["data-value"]
+
+
+@given(st.text())
+def test_text_never_becomes_markup(text: str) -> None:
+    page = _Page(element("div", text, element("p", text), title=text))
+    assert page.tags == ["div", "p"]
+    assert table(("a",), [(text,)]).count("<td") == 1
+
+
+@given(st.lists(st.floats(-1, 1), min_size=1, max_size=300), st.integers(1, 20))
+def test_thinning_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
+    t, y = np.arange(len(values)) * 0.1, np.array(values)
+    thin_t, thin_y = envelope(t, y, buckets)
+    assert np.all(np.diff(thin_t) > 0)
+    assert len(thin_t) <= 2 * buckets + 2
+    assert (thin_y.min(), thin_y.max(), thin_t[0], thin_t[-1]) == (y.min(), y.max(), t[0], t[-1])
+
+
+@pytest.fixture(scope="module")
+def page(episode: Episode, trace: Trace) -> str:
+    """The report of the good run with three snapshots."""
+    picture = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
+    return render_report(episode, trace, [Snapshot(t, f"at {t}", picture) for t in (0.0, 10.6, 20.0)])
+
+
+def test_the_page_stands_alone(page: str) -> None:
+    parsed = _Page(page)
+    assert not {"script", "link", "iframe", "object", "form"} & set(parsed.tags)
+    assert ("http-equiv", "Content-Security-Policy") in parsed.attributes
+    assert any((value or "").startswith("default-src 'none'; img-src data:;") for _, value in parsed.attributes)
+    for name, value in parsed.attributes:
+        assert not name.startswith("on")
+        if name in ("src", "href", "xlink:href"):
+            assert (value or "").startswith(("data:image/jpeg;base64,", "#"))
+    assert not re.search(r"url\((?!#)|@import", page)
+    assert len(page) < 3e6
+    assert "prefers-color-scheme: dark" in page
+    assert "#0101" not in page
+
+
+def test_numbers_are_those_of_the_episode(page: str, episode: Episode) -> None:
+    parsed = _Page(page)
+    assert float(parsed.value("Delta") or "nan") == episode.outcome.Delta
+    assert float(parsed.value("h_min") or "nan") == episode.outcome.h_min
+    assert float(parsed.value("intervention_frequency") or "nan") == episode.outcome.intervention_frequency
+    assert f"{1e3 * (episode.outcome.h_min or 0):.2f} mm at" in page
+    for told in (
+        "choose a speed of at most 0.4 m/s",
+        "/action_sequence/0/params/speed",
+        "0.5873",
+        "9f3c2ab1",
+        "e-0029",
+    ):
+        assert told in parsed.text
+
+
+def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:
+    shot = episode.attempts[0]
+    proposal = msgspec.structs.replace(shot.proposal, text=HOSTILE, planner=HOSTILE)
+    verdict = msgspec.structs.replace(shot.verdict, got=HOSTILE, hint=HOSTILE, pointer=HOSTILE)
+    evil = msgspec.structs.replace(
+        episode,
+        instruction=HOSTILE,
+        attempts=(Attempt(proposal, verdict, 0.0),),
+        contract={"action_sequence": [{"skill": HOSTILE, "params": {"object": HOSTILE, HOSTILE: HOSTILE}}]},
+        scene=msgspec.structs.replace(
+            episode.scene, objects=tuple(_renamed(thing) for thing in episode.scene.objects[:2])
+        ),
+        versions={HOSTILE: HOSTILE},
+    )
+    parsed = _Page(render_report(evil, trace, [Snapshot(0.0, HOSTILE, np.zeros((4, 6, 3), np.uint8))]))
+    assert "script" not in parsed.tags
+    assert parsed.tags.count("img") == 1
+    assert not any(name == "onerror" for name, _ in parsed.attributes)
+    assert parsed.text.count(HOSTILE) > 8
+
+
+def _renamed(thing: SceneObject) -> SceneObject:
+    return msgspec.structs.replace(thing, name=HOSTILE)
+
+
+def test_a_refused_contract_has_nothing_to_plot(refused: Episode) -> None:
+    page = render_report(refused, EMPTY)
+    parsed = _Page(page)
+    assert "No control was executed" in parsed.text
+    assert "No contract was accepted" in parsed.text
+    assert "svg" not in parsed.tags
+    assert parsed.value("Delta") == "None"
+    assert "refused at envelope" in parsed.text
+
+
+def test_a_run_that_was_taken_over_says_so(taken_over: Episode, trace: Trace) -> None:
+    short = Trace(7)
+    short.extend(trace.rows[:4000])
+    short.phases[:] = trace.phases
+    parsed = _Page(render_report(taken_over, short))
+    for told in ("taken over", "no progress for 1.5 s", "1 safety violation", "link5 × forearm", "not run", "12.7"):
+        assert told in parsed.text
+
+
+@pytest.mark.parametrize("ticks", [1, 2])
+def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
+    from tests.runtime.ticks import fill  # noqa: PLC0415
+
+    trace = Trace(7)
+    fill(trace, ticks, odd=True)
+    stopped = msgspec.structs.replace(episode, outcome=Outcome("stopped", "stale state", 2.0, 2.0, 2.0, 1.0, -np.inf))
+    assert "svg" in _Page(render_report(stopped, trace)).tags
+
+
+def test_the_file_is_what_was_rendered(tmp_path: Path, refused: Episode) -> None:
+    write_report(tmp_path / "report.html", refused, EMPTY)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(refused, EMPTY)
+
+
+def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episode) -> None:
+    assert {one.text for one in key_numbers(refused) if one.name in ("Delta", "h_min", "intervention_frequency")} == {
+        "–"
+    }
+    assert all(isinstance(one.value, float | int) for one in key_numbers(episode))
+    assert isinstance(element("p"), Html)
