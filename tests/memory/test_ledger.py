@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.chain import GENESIS, DamagedLedger, Head
+from dualbrain.memory.chain import GENESIS, DamagedLedger, Head, digest
 from dualbrain.memory.ledger import Entry, Ledger, LedgerReader, Vector
 from dualbrain.memory.writer_lock import LedgerInUse
 
@@ -92,6 +93,23 @@ def test_a_removed_or_moved_event_is_found(tmp_path: Path, statement: str, broke
     _tamper(path, statement)
     with LedgerReader(path) as reader:
         assert reader.verify().broken_at == broken_at
+
+
+def test_a_removed_event_is_said_to_be_missing(tmp_path: Path) -> None:
+    path = _filled(tmp_path)
+    _tamper(path, "DELETE FROM event WHERE seq = 3")
+    with LedgerReader(path) as reader:
+        assert reader.verify().fault == "event 3 is missing, the next one found is 4"
+
+
+def test_a_changed_event_with_a_new_hash_betrays_itself_at_the_next_one(tmp_path: Path) -> None:
+    path = _filled(tmp_path)
+    with LedgerReader(path) as reader:
+        forged = replace(list(reader.events())[2], payload=b"{}")
+    _tamper(path, f"UPDATE event SET payload = CAST('{{}}' AS BLOB), hash = '{digest(forged)}' WHERE seq = 3")
+    with LedgerReader(path) as reader:
+        report = reader.verify()
+    assert (report.broken_at, report.fault) == (4, "it does not name the event before it as its predecessor")
 
 
 def test_a_shortened_ledger_is_found_by_an_anchor(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval import Scan
+from dualbrain.memory.retrieval import Hit, Scan
 
 from .samples import unit_rows
 
@@ -18,6 +18,10 @@ def _filled(rows: np.ndarray, weights: np.ndarray) -> Scan:
     for row, weight in zip(rows, weights, strict=True):
         scan.add(row, float(weight))
     return scan
+
+
+def _top(scan: Scan, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[Hit, ...]:
+    return scan.top(scan.compare(query), eligible, k, lambda_s)
 
 
 def _oracle(rows, weights, query, eligible, k, lambda_s) -> list[int]:
@@ -44,7 +48,7 @@ def test_top_equals_the_oracle(seed: int, n: int, k: int, lambda_s: float, disti
     rows = unit_rows(rng, distinct, DIM)[rng.integers(0, distinct, n)]
     weights = rng.integers(0, levels, n) / max(1, levels - 1)
     query, eligible = unit_rows(rng, 1, DIM)[0], rng.random(n) < 0.7
-    hits = _filled(rows, weights).top(query, eligible, k, lambda_s)
+    hits = _top(_filled(rows, weights), query, eligible, k, lambda_s)
     assert [hit.row for hit in hits] == _oracle(rows, weights, query, eligible, k, lambda_s)
 
 
@@ -53,14 +57,14 @@ def test_scores_too_close_for_float32_are_still_ranked_right() -> None:
     query = unit_rows(rng, 1, 900)[0]
     rows = np.repeat(unit_rows(rng, 1, 900), 2000, axis=0)
     weights = 0.5 + rng.permutation(2000) * 1e-10
-    hits = _filled(rows, weights).top(query, np.ones(2000, bool), 5, 0.8)
+    hits = _top(_filled(rows, weights), query, np.ones(2000, bool), 5, 0.8)
     assert [hit.row for hit in hits] == list(np.argsort(-weights)[:5])
 
 
 def test_the_score_is_the_papers() -> None:
     a, b = np.eye(2, dtype=np.float32)
     scan = _filled(np.stack([a, b]), np.array([0.25, 1.0]))
-    first, second = scan.top(a, np.ones(2, bool), 2, 0.8)
+    first, second = _top(scan, a, np.ones(2, bool), 2, 0.8)
     assert (first.row, first.similarity, first.weight) == (0, 1.0, 0.25)
     assert first.score == pytest.approx(0.8 * 1.0 + 0.2 * 0.25)
     assert second.score == pytest.approx(0.8 * 0.5 + 0.2 * 1.0)
@@ -73,7 +77,7 @@ def test_experience_outranks_likeness_inside_the_stated_gap() -> None:
         cosine = 1.0 - 2.0 * gap
         far = np.array([cosine, np.sqrt(1.0 - cosine**2)], np.float32)
         scan = _filled(np.stack([query, far]), np.array([0.0, 1.0]))
-        assert scan.top(query, np.ones(2, bool), 1, 0.8)[0].row == winner
+        assert _top(scan, query, np.ones(2, bool), 1, 0.8)[0].row == winner
 
 
 def test_reweighing_changes_the_ranking() -> None:
@@ -81,10 +85,10 @@ def test_reweighing_changes_the_ranking() -> None:
     scan = _filled(rows, np.array([0.5, 0.5, 0.5]))
     scan.reweigh(0, 0.9)
     scan.reweigh(2, 0.1)
-    assert [hit.row for hit in scan.top(rows[0], np.ones(3, bool), 3, 0.8)] == [0, 1, 2]
+    assert [hit.row for hit in _top(scan, rows[0], np.ones(3, bool), 3, 0.8)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("lambda_s", [-0.1, 1.1, float("nan")])
 def test_a_lambda_outside_its_interval_is_refused(lambda_s: float) -> None:
     with pytest.raises(InvalidSetup, match="lambda_s"):
-        Scan(2).top(np.zeros(2, np.float32), np.zeros(0, bool), 1, lambda_s)
+        _top(Scan(2), np.zeros(2, np.float32), np.zeros(0, bool), 1, lambda_s)

@@ -73,11 +73,8 @@ def digest(event: Event) -> str:
     texts = (event.kind, event.run, event.subject, event.previous)
     numbers = struct.pack("<qd", event.seq, event.time)
     fields = [numbers, *(text.encode("utf-8", "surrogateescape") for text in texts), event.payload]
-    hasher = hashlib.sha256()
-    for field in fields:
-        hasher.update(struct.pack("<q", len(field)))
-        hasher.update(field)
-    return hasher.hexdigest()
+    framed = (part for field in fields for part in (struct.pack("<q", len(field)), field))
+    return hashlib.sha256(b"".join(framed)).hexdigest()
 
 
 def fault_of(event: Event, before: Head) -> str:

@@ -23,6 +23,14 @@ class Hit:
     score: float
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A query of shape (dim,) and its cosine with every row, shape (n,), in float32."""
+
+    query: Rows
+    cosine: Rows
+
+
 class Scan:
     """All embeddings in one float32 matrix of shape (n, dim), all weights beside it.
 
@@ -57,18 +65,21 @@ class Scan:
         """Set w of one row."""
         self._weights[row] = weight
 
-    def top(self, query: Rows, eligible: Mask, k: int, lambda_s: float) -> tuple[Hit, ...]:
+    def compare(self, query: Rows) -> Compared:
+        """Read every row once; the result serves any number of `top` calls until a row is added."""
+        return Compared(query, self._rows[: self._count] @ query)
+
+    def top(self, compared: Compared, eligible: Mask, k: int, lambda_s: float) -> tuple[Hit, ...]:
         """The k eligible rows with the largest R = λ_s (1 + cos)/2 + (1 − λ_s) w, best first; the newer wins a tie.
 
         The scan is in float32; every row within its rounding error of the k-th is scored again in float64, row by row,
         so the answer equals that of a float64 sort, and equal rows tie exactly wherever they stand.
         """
         check_lambda(lambda_s)
-        rows = np.flatnonzero(eligible[: self._count])
+        query, rows = compared.query, np.flatnonzero(eligible)
         if k <= 0 or rows.size == 0:
             return ()
-        cosine = (self._rows[: self._count] @ query)[rows]
-        rough = lambda_s * (1.0 + cosine) / 2.0 + (1.0 - lambda_s) * self._weights[rows]
+        rough = lambda_s * (1.0 + compared.cosine[rows]) / 2.0 + (1.0 - lambda_s) * self._weights[rows]
         rows = rows[rough >= _kth(rough, k) - 2.0 * query.size * 2.0**-24]
         return self._ranked(rows, query, lambda_s)[:k]
 

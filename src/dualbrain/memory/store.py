@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.chain import DamagedLedger, Event, Head, checked
+from dualbrain.memory.chain import DamagedLedger, Head, checked
 from dualbrain.memory.embedding import EmbeddingConfig, JointEmbedding
 from dualbrain.memory.encoder import Encoder, Rows
 from dualbrain.memory.ledger import EPISODE, WEIGHT, Entry, Ledger, Vector
 from dualbrain.memory.plasticity import W0, Factors, Plasticity
 from dualbrain.memory.posture import Posture, PostureLimits
-from dualbrain.memory.retrieval import Scan, check_lambda
+from dualbrain.memory.retrieval import Compared, Scan, check_lambda
 from dualbrain.memory.trace import (
     LESSONS,
     Lesson,
@@ -99,11 +99,11 @@ class Memory:
         Only memories of the same robot and the same registry hash are offered: a contract made for other skills, units
         or bounds is no example. The same ledger and query give the same answer, ties included.
         """
-        query = self._embedding.embed(instruction, summary, state, robot)
+        query = self._scan.compare(self._embedding.embed(instruction, summary, state, robot))
         follow = self._hits(query, (robot, registry, "follow"), k)
         return Recall(follow, self._hits(query, (robot, registry, "avoid"), self.config.warnings))
 
-    def _hits(self, query: Rows, partition: tuple[str, str, Lesson], k: int) -> tuple[Exemplar, ...]:
+    def _hits(self, query: Compared, partition: tuple[str, str, Lesson], k: int) -> tuple[Exemplar, ...]:
         eligible = self._members[: len(self)] == self._partitions.get(partition, -1)
         hits = self._scan.top(query, eligible, k, self.config.lambda_s)
         return tuple(
@@ -129,7 +129,8 @@ class Memory:
             *(Entry(WEIGHT, change.memory, change) for change in changes),
         ]
         events = self._ledger.append(entries, now=now)
-        self._remember(events[0], vector)
+        trace, _, w0 = read_episode(events[0].payload)
+        self._remember(trace, w0, vector)
         for event in events[1:]:
             self._weigh(read_weighing(event.payload))
         return StoreReport(episode.id, events[0].seq, Head(events[-1].seq, events[-1].hash), changes)
@@ -156,31 +157,30 @@ class Memory:
         for event in checked(self._ledger.events(), str(self._ledger.path)):
             try:
                 if event.kind == EPISODE:
-                    self._remember(event, self._vector(event, vectors.get(event.seq)))
+                    trace, _, w0 = read_episode(event.payload)
+                    self._remember(trace, w0, self._vector(trace, vectors.get(event.seq)))
                 elif event.kind == WEIGHT:
                     self._weigh(read_weighing(event.payload))
             except (msgspec.DecodeError, KeyError) as error:
                 raise DamagedLedger(f"unreadable: {error}", seq=event.seq, path=str(self._ledger.path)) from error
 
-    def _vector(self, event: Event, stored: Vector | None) -> Rows:
+    def _vector(self, trace: Trace, stored: Vector | None) -> Rows:
         """The stored vector, if this embedding made it; zeros for robots that this memory does not serve."""
-        robot = read_episode(event.payload)[0].robot
-        if not self._embedding.knows(robot):
+        if not self._embedding.knows(trace.robot):
             return np.zeros(self._embedding.dim, np.float32)
-        version = self._embedding.version(robot)
+        version = self._embedding.version(trace.robot)
         if stored is None or stored.version != version or len(stored.data) != 4 * self._embedding.dim:
             raise InvalidSetup(
-                f"embedding of memory {event.subject}",
+                f"embedding of memory {trace.id}",
                 got=stored and stored.version,
                 allowed=version,
                 fix="Use the encoder and settings of before, or make all vectors anew (memory.store.rebuild).",
             )
         return np.frombuffer(stored.data, "<f4").astype(np.float32)
 
-    def _remember(self, event: Event, vector: Rows) -> None:
-        trace, _, w0 = read_episode(event.payload)
+    def _remember(self, trace: Trace, w0: float, vector: Rows) -> None:
         row = self._scan.add(vector, w0)
-        self._rows[event.subject] = row
+        self._rows[trace.id] = row
         self._traces.append(trace)
         if row == len(self._members):
             self._members = np.concatenate([self._members, np.empty_like(self._members)])
