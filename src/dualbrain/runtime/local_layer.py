@@ -7,7 +7,7 @@ here; a contract arrives as the gate accepted it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +24,7 @@ from dualbrain.safety.obstacles import from_scene
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.result import Status as FilterStatus
 from dualbrain.skills.limb import Limb
-from dualbrain.skills.skill import Ending, Holding, Nominal, Senses, Status
+from dualbrain.skills.skill import Ending, Holding, Nominal, Senses, Status, Touch
 from dualbrain.skills.vocabulary import Running
 
 Array = NDArray[np.float64]
@@ -87,6 +87,7 @@ class LocalLayer:
         self._phase_changed = phase_changed
         self._roles: dict[str, str | None] = {}
         self._phase = ""
+        self._touches: tuple[Touch, ...] = ()
         self._holding: Holding | None = None
         self._ticks = 0
         self._bad = 0
@@ -99,10 +100,14 @@ class LocalLayer:
     # --- what the loop calls ------------------------------------------------------------------------------------
 
     def hold(self, duration: float, phase: str = "hold") -> None:
-        """Stand still for `duration` [s] (while the planner thinks, or to settle); the filter may still yield."""
+        """Stand still for `duration` [s] (while the planner thinks, or to settle); the filter may still yield.
+
+        Contacts that the last phase allowed stay allowed: a hand that was stopped around a thing is still around it.
+        """
         self._skill = phase
         for _ in range(round(duration / self.body.period)):
-            self._tick(self._rest(phase), IDLE)
+            nominal = self.limb.rest(phase)
+            self._tick(replace(nominal, phase=self._phase or phase, touches=self._touches), IDLE)
 
     def run(self, contract: Contract) -> Outcome:
         """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth."""
@@ -186,18 +191,17 @@ class LocalLayer:
             self._observe()
         self.limb.sense(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
 
-    def _rest(self, phase: str) -> Nominal:
-        return next(self.limb.stay(phase, 1.0))
-
     def _enter(self, nominal: Nominal) -> None:
         """A new phase: its contact permits replace the old ones."""
-        self._phase = nominal.phase
+        self._phase, self._touches = nominal.phase, nominal.touches
         contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in nominal.touches]
         self.log.call(self.state.stamp, "permit", permits=contacts)
         self.safety.permit(contacts)
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
         if self._phase_changed:
-            self._phase_changed(nominal.phase, {**self._roles, "held": nominal.holding.name if nominal.holding else None})
+            self._phase_changed(
+                nominal.phase, {**self._roles, "held": nominal.holding.name if nominal.holding else None}
+            )
 
     def _take(self, holding: Holding | None) -> None:
         """Attach what was grasped as part of the body, at the pose perceived at the grasp; or detach it."""
@@ -231,7 +235,9 @@ def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:
 
 
 def _words(action: Action) -> str:
-    return ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items())
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items()
+    )
 
 
 def _not_run(action: Action) -> ActionResult:

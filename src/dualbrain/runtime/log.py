@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scene
 from dualbrain.runtime.recorder import Recorder
-from dualbrain.runtime.trace import DEAD_BAND, EventKind, Trace
+from dualbrain.runtime.trace import DEAD_BAND, Event, EventKind, Trace
 from dualbrain.safety.filter import Filtered
 
 Array = NDArray[np.float64]
@@ -19,9 +20,14 @@ Array = NDArray[np.float64]
 class FlightLog:
     """Trace and recorder behind one door; the recorder may be absent (tests, sweeps)."""
 
-    def __init__(self, trace: Trace, recorder: Recorder | None = None) -> None:
-        """Bind the trace and, if given, the recorder."""
-        self.trace, self.recorder = trace, recorder
+    def __init__(
+        self,
+        trace: Trace,
+        recorder: Recorder | None = None,
+        announce: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Bind the trace and, if given, the recorder and whoever is told of events as they happen."""
+        self.trace, self.recorder, self._announce = trace, recorder, announce
 
     def tick(self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str) -> None:
         """Log one control tick."""
@@ -39,6 +45,8 @@ class FlightLog:
         event = self.trace.note(t, kind, text, **data)
         if self.recorder:
             self.recorder.event(event)
+        if self._announce:
+            self._announce(event)
 
     def scene(self, scene: Scene) -> None:
         """Log a perceived scene."""

@@ -19,13 +19,23 @@ Rule = Callable[[Contract], Rejected | None]
 
 def scene_rules(scene: Scene, limb: Limb) -> tuple[Rule, ...]:
     """The rules that hold for `scene` and the arm as it stands: hand busy or empty, opening, reach."""
-    return (_decline_alone, lambda contract: _hand_order(contract, limb), lambda contract: _grasps_fit(contract, scene, limb))
+    return (
+        _decline_alone,
+        lambda contract: _hand_order(contract, limb),
+        lambda contract: _grasps_fit(contract, scene, limb),
+    )
 
 
 def _decline_alone(contract: Contract) -> Rejected | None:
     skills = [action.skill for action in contract.action_sequence]
     if "decline" in skills and len(skills) > 1:
-        return Rejected("envelope", "/action_sequence", skills, ["decline"], "decline stands alone: it refuses the whole instruction")
+        return Rejected(
+            "envelope",
+            "/action_sequence",
+            skills,
+            ["decline"],
+            "decline stands alone: it refuses the whole instruction",
+        )
     return None
 
 
@@ -36,7 +46,9 @@ def _hand_order(contract: Contract, limb: Limb) -> Rejected | None:
         pointer = f"/action_sequence/{index}/skill"
         if action.skill == "grasp":
             if full:
-                return Rejected("envelope", pointer, "grasp", ["place", "release"], "the hand is full: place or release first")
+                return Rejected(
+                    "envelope", pointer, "grasp", ["place", "release"], "the hand is full: place or release first"
+                )
             full = True
         elif action.skill == "place":
             if not full:
@@ -57,8 +69,24 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
         needed = width(thing, str(params["finger_axis"])) + FINGER_ROOM
         widest = 2.0 * limb.body.gripper.opening.value
         if float(params["opening"]) < needed:
-            hint = f"open wider than {thing.name} ({needed * 1000:.0f} mm with room)" if needed <= widest else "it is too wide for this hand"
-            return Rejected("envelope", f"{pointer}/opening", params["opening"], {"minimum": round(needed, 4), "maximum": widest}, hint)
+            hint = (
+                f"open wider than {thing.name} ({needed * 1000:.0f} mm with room)"
+                if needed <= widest
+                else "it is too wide for this hand"
+            )
+            return Rejected(
+                "envelope",
+                f"{pointer}/opening",
+                params["opening"],
+                {"minimum": round(needed, 4), "maximum": widest},
+                hint,
+            )
         if grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])) is None:
-            return Rejected("envelope", f"{pointer}/object", thing.name, "things within reach", f"{thing.name} is out of reach for this grasp")
+            return Rejected(
+                "envelope",
+                f"{pointer}/object",
+                thing.name,
+                "things within reach",
+                f"{thing.name} is out of reach for this grasp",
+            )
     return None

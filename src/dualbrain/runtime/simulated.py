@@ -16,7 +16,7 @@ WATCH_EVERY = 50
 """Ticks between two glances of the referee."""
 
 ALLOWANCES = {
-    "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release", "retreat": "retreat",
+    "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release", "retreat": "retreat",
 }  # fmt: skip
 """What the monitor calls the phases of our skills in which something may be touched."""
 

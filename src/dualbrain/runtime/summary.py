@@ -71,7 +71,9 @@ def _path_lines(scene: Scene) -> list[str]:
     for container in (thing for thing in scene.objects if thing.role == "container"):
         for thing in (thing for thing in scene.objects if thing.role == "object"):
             start, end = (np.asarray(end.pose.position)[:2] for end in (thing, container))
-            on_path = [other for other in _standing(scene, thing.name, container.name) if _off(start, end, other) < PATH_WIDTH]
+            on_path = [
+                other for other in _standing(scene, thing.name, container.name) if _off(start, end, other) < PATH_WIDTH
+            ]
             overhead = [other for other in _hanging(scene) if _off(start, end, other) < PATH_WIDTH]
             height = max((top(other) for other in on_path), default=0.0)
             lines.append(
@@ -92,7 +94,9 @@ def _person(scene: Scene) -> str:
 def _standing(scene: Scene, *without: str) -> list[SceneObject]:
     kinds = ("object", "container", "obstacle")
     return [
-        thing for thing in scene.objects if thing.role in kinds and thing.name not in without and bottom(thing) < OVERHEAD
+        thing
+        for thing in scene.objects
+        if thing.role in kinds and thing.name not in without and bottom(thing) < OVERHEAD
     ]
 
 

@@ -11,7 +11,9 @@ from dualbrain.skills.skill import Ending, Status, Story
 def spec(body: Body) -> SkillSpec:
     """The skill's vocabulary entry."""
     del body
-    duration = Number("duration", "s", 0.5, 20.0, "shorter is no pause", "site policy: longer pauses are a new contract", "how long")
+    duration = Number(
+        "duration", "s", 0.5, 20.0, "shorter is no pause", "site policy: longer pauses are a new contract", "how long"
+    )
     return SkillSpec("hold", "stand still, keeping what is held", (duration,))
 
 

@@ -5,7 +5,7 @@ A story yields one `Nominal` a tick and returns None when it went well or the `E
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
 from dualbrain.skills.inverse_kinematics import InverseKinematics
-from dualbrain.skills.person import may_be_over
+from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
 from dualbrain.skills.resolved_rate import ResolvedRate
 from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status, Touch
@@ -29,12 +29,14 @@ SETTLED = 0.15
 """How long [s] a grip must stand still and press with both fingers to count as a grasp."""
 GRIP_FORCE_MIN = 0.5
 """Force on each finger that counts as contact [N] (two-finger test)."""
-RETRIES = 2
-"""How often a blocked journey is tried again over the top."""
-RETRY_AFTER = 1.0
-"""No progress for this long [s] makes a journey try another way, while one is left."""
-RISE, CEILING = 0.18, 0.50
-"""How far a blocked tool rises, and to what height at most [m]."""
+CEILING = 0.50
+"""Tool height that no evasion exceeds [m]."""
+YIELD_SPEED = 0.30
+"""How fast the arm gets out of a person's way [m/s]."""
+BESIDE = 0.17
+"""Half the hand's breadth and some air: whoever stays this far beside the tool does not bother it [m]."""
+YIELDED = Ending(Status.RUNNING, "yielded to a person")
+"""A part ended because a person came by; the way is free again, and the part may be tried again."""
 PERSON_PATIENCE = 20.0
 """How long [s] a skill waits for a person before it says so and fails."""
 
@@ -62,6 +64,8 @@ class Limb:
         self._motion = motion
         self._senses: Senses | None = None
         self._touches: dict[str, tuple[Touch, ...]] = {}
+        self._looked_at: tuple[float, float, bool] | None = None
+        self._threat: float | None = None
 
     # --- senses -------------------------------------------------------------------------------------------------
 
@@ -105,7 +109,10 @@ class Limb:
         self, goal: Goal, phase: str, speed: float, *, stop: bool = True, patience: float = STANDSTILL,
         follow: Callable[[], Goal] | None = None,
     ) -> Part:  # fmt: skip
-        """Move the tool to `goal`; with `stop` come to rest there, else pass by. `follow` renews the goal every tick."""
+        """Move the tool to `goal`; with `stop` come to rest there, else pass by. `follow` renews the goal every tick.
+
+        When a person is about to sweep by, the arm gets out of the way and the part ends with `YIELDED`.
+        """
         near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
         progress = Progress(self.senses.now, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
         while True:
@@ -115,38 +122,14 @@ class Limb:
             turn = float(np.linalg.norm(rotation_error(tool.rotation, goal.rotation)))
             if distance < near and turn < turned:
                 return None
+            if (height := self.threatened(tool.position)) is not None:
+                return (yield from self.step_aside(phase, height))
             if why := progress.stuck(now, distance + 0.1 * turn):
                 return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {distance * 100:.1f} cm from the goal")
             u = self._phi.toward(
                 state, tool, goal.position, goal.rotation, speed, goal.posture, now, stop=stop
             )  # fmt: skip
             yield self._nominal(u, phase)
-
-    def travel(self, points: Sequence[Goal], phase: str, speed: float) -> Part:
-        """Pass through `points` to the last one; when blocked, rise, cross above and come down, at most twice."""
-        for attempt in range(RETRIES + 1):
-            patience = STANDSTILL if attempt == RETRIES else RETRY_AFTER
-            why = yield from self._pass_through(points, phase, speed, patience)
-            if why is None or attempt == RETRIES:
-                return why
-            yield from self._rise(speed)
-            points = [lifted(points[-1], max(float(self.senses.tool.position[2]), points[-1].position[2])), points[-1]]
-        return None
-
-    def _pass_through(self, points: Sequence[Goal], phase: str, speed: float, patience: float) -> Part:
-        for index, point in enumerate(points):
-            last = index == len(points) - 1
-            if why := (yield from self.reach(point, phase, speed, stop=last, patience=patience)):
-                return why
-        return None
-
-    def _rise(self, speed: float) -> Part:
-        """Go straight up by 18 cm, as far as the ceiling of the workspace; being blocked on the way is no failure."""
-        tool = self.senses.tool
-        height = min(float(tool.position[2]) + RISE, CEILING)
-        up = self.shifted(Goal(tool.position.copy(), tool.rotation.copy(), self.senses.state.q), np.array([*tool.position[:2], height]))
-        yield from self.reach(up, "rise", speed, patience=RETRY_AFTER)
-        return None
 
     def joints(self, goal: Array, phase: str, share: float) -> Part:
         """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits."""
@@ -164,7 +147,7 @@ class Limb:
         """Rest for `duration` [s]."""
         end = self.senses.now + duration
         while self.senses.now < end:
-            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), phase)
+            yield self.rest(phase)
         return None
 
     def close(self, force: float) -> Part:
@@ -178,7 +161,7 @@ class Limb:
                 steady, before = now, state.opening
             if now - steady > SETTLED:
                 return None
-            yield self._nominal(self._phi.rest(state, now), "close")
+            yield self.rest("close")
         return Ending(Status.FAILED, "close: the two-finger test felt nothing between the fingers")
 
     def open(self, opening: float) -> Part:
@@ -187,18 +170,29 @@ class Limb:
         self.force = self.body.gripper.force_min.value
         start = self.senses.now
         while self.senses.now - start < 1.0 and abs(self.senses.state.opening - opening) > 2e-3:
-            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), "open")
+            yield self.rest("open")
         yield from self.stay("open", 0.2)
         return None
 
-    def wait_for_people(self, phase: str, spot: Array, horizon: float, *, reach: float = 0.22) -> Part:
-        """Rest until no person's predicted sweep over `horizon` [s] comes within `reach` [m] of above or beside `spot`."""
-        start = self.senses.now
-        while may_be_over(self.senses.scene, spot, horizon, reach, self.senses.now):
-            if self.senses.now - start > PERSON_PATIENCE:
-                return Ending(Status.FAILED, f"{phase}: a person stayed over the place for {PERSON_PATIENCE:.0f} s")
-            yield self._nominal(self._phi.rest(self.senses.state, self.senses.now), "wait")
-        return None
+    def step_aside(self, phase: str, height: float) -> Part:
+        """Rise until tool and load are above `height` [m], then rest until whoever comes has passed; then `YIELDED`.
+
+        The contacts of `phase` stay allowed: a hand may be leaving a thing it has around it.
+        """
+        start, spot = self.senses.now, self.senses.tool.position.copy()
+        rotation, posture = self.senses.tool.rotation.copy(), self.senses.state.q.copy()
+        while self.threatened(spot, horizon=2.5, reach=BESIDE, ever=True) is not None:
+            tool, state, now = self.senses.tool, self.senses.state, self.senses.now
+            if now - start > PERSON_PATIENCE:
+                return Ending(Status.FAILED, f"{phase}: a person stayed in the way for {PERSON_PATIENCE:.0f} s")
+            wanted = min(height + self.below_tool, CEILING)
+            if tool.position[2] < wanted - 0.005:
+                up = np.array([tool.position[0], tool.position[1], wanted])
+                u = self._phi.toward(state, tool, up, rotation, YIELD_SPEED, posture, now)
+            else:
+                u = self._phi.rest(state, now)
+            yield self._nominal(u, "yield", permits_of=phase)
+        return YIELDED
 
     # --- facts --------------------------------------------------------------------------------------------------
 
@@ -216,15 +210,44 @@ class Limb:
         q = self.kinematics.solve(position, goal.rotation, (goal.posture,))
         return Goal(position, goal.rotation, goal.posture if q is None else q)
 
+    def here(self) -> Goal:
+        """Where the tool is now, as a goal."""
+        tool = self.senses.tool
+        return Goal(tool.position.copy(), tool.rotation.copy(), self.senses.state.q.copy())
+
     def take_hold(self, thing: SceneObject, below_tool: float) -> None:
         """Remember that `thing` is between the fingers, its lowest point `below_tool` [m] under the tool."""
         self.holding = Holding(thing.name, below_tool)
 
+    @property
+    def below_tool(self) -> float:
+        """How far the lowest point of the load, or of the empty fingers, lies below the tool [m]."""
+        return self.holding.below_tool if self.holding else self.body.gripper.pad_below_tool
+
+    def threatened(self, spot: Array, horizon: float = 1.5, reach: float = BESIDE, *, ever: bool = False) -> float | None:
+        """Height [m] to get above because a person soon sweeps by `spot`; looked at afresh with each new scene.
+
+        With `ever` the height of the tool does not count: whether anyone passes there at all.
+        """
+        scene, now = self.senses.scene, self.senses.now
+        if not any(thing.role == "person" for thing in scene.objects):
+            return None
+        key = (scene.stamp, horizon, ever)
+        if key != self._looked_at:
+            lowest = -1.0 if ever else float(self.senses.tool.position[2]) - self.below_tool
+            self._looked_at, self._threat = key, threat(scene, spot, lowest, horizon, reach, now)
+        return self._threat
+
     def _distance(self, goal: Goal) -> float:
         return float(np.linalg.norm(goal.position - self.senses.tool.position))
 
-    def _nominal(self, u: Array, phase: str) -> Nominal:
-        return Nominal(u, self.opening, self.force, phase, self._touches.get(phase, ()), self.holding)
+    def rest(self, phase: str) -> Nominal:
+        """One tick of standing still."""
+        return self._nominal(self._phi.rest(self.senses.state, self.senses.now), phase)
+
+    def _nominal(self, u: Array, phase: str, permits_of: str = "") -> Nominal:
+        touches = self._touches.get(permits_of or phase, ())
+        return Nominal(u, self.opening, self.force, phase, touches, self.holding)
 
 
 def lifted(goal: Goal, height: float) -> Goal:

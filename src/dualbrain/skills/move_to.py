@@ -7,7 +7,8 @@ import numpy as np
 from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.skills import geometry, parameters
-from dualbrain.skills.limb import Goal, Limb, lifted
+from dualbrain.skills.journey import travel, wait_for_people
+from dualbrain.skills.limb import Limb, lifted
 from dualbrain.skills.place import spot
 from dualbrain.skills.route import bend
 from dualbrain.skills.skill import Ending, Status, Story
@@ -42,21 +43,21 @@ def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str
         point = np.array([*thing.pose.position[:2], geometry.top(thing)])
     else:
         point, _, _ = spot(scene, target)
-    below = limb.holding.below_tool if limb.holding else limb.body.gripper.pad_below_tool
-    height = max(limb.floor + clearance, float(point[2]) + OVER) + below
+    height = max(limb.floor + clearance, float(point[2]) + OVER) + limb.below_tool
     tool = limb.senses.tool
     end = limb.goal(np.array([point[0], point[1], height]), _facings(tool.rotation, tool.position, point))
     if end is None:
         return Ending(Status.FAILED, f"above {target} is out of reach")
-    if wait == "until_clear":
-        if why := (yield from limb.wait_for_people("approach", (tool.position + point) / 2, 4.0, reach=0.35)):
-            return why
-    here = Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q)
-    points = [lifted(here, height)] if tool.position[2] < height - 0.01 else []
+    middle = (tool.position + point) / 2
+    if wait == "until_clear" and (
+        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "approach", reach=0.35))
+    ):
+        return why
+    points = [lifted(limb.here(), height)] if tool.position[2] < height - 0.01 else []
     via = bend(tool.position, end.position, route)
     if via is not None:
         points.append(limb.shifted(end, via))
-    if why := (yield from limb.travel([*points, end], "approach", speed)):
+    if why := (yield from travel(limb, [*points, end], "approach", speed)):
         return why
     return Ending(Status.DONE, f"above {target}")
 

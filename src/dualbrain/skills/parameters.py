@@ -27,7 +27,9 @@ def clearance() -> Number:
 
 def route() -> Choice:
     """Which way round to travel."""
-    return Choice("route", ("direct", "near_base", "left", "right"), "way round: straight, close to the base, or bent aside")
+    return Choice(
+        "route", ("direct", "near_base", "left", "right"), "way round: straight, close to the base, or bent aside"
+    )
 
 
 def wait() -> Choice:

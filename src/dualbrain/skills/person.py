@@ -7,8 +7,12 @@ from numpy.typing import NDArray
 
 from dualbrain.linalg import matrix
 from dualbrain.records import Capsule, Scene, SceneObject
+from dualbrain.skills.geometry import top
 
 Array = NDArray[np.float64]
+
+HEADROOM = 0.05
+"""Whoever passes this far below the lowest point of the tool is no threat [m]."""
 
 
 def may_be_over(scene: Scene, spot: Array, horizon: float, reach: float, now: float) -> bool:
@@ -16,12 +20,26 @@ def may_be_over(scene: Scene, spot: Array, horizon: float, reach: float, now: fl
     return any(_sweeps(thing, spot, horizon, reach, now) for thing in scene.objects if thing.role == "person")
 
 
+def threat(scene: Scene, spot: Array, lowest: float, horizon: float, reach: float, now: float) -> float | None:
+    """Height [m] above which the tool is out of the way of everyone who soon sweeps by `spot`; None if nobody does.
+
+    `lowest` is the height of the lowest point of tool and load [m].
+    """
+    tops = [
+        top(thing) + HEADROOM
+        for thing in scene.objects
+        if thing.role == "person" and _sweeps(thing, spot, horizon, reach, now)
+    ]
+    height = max(tops, default=0.0)
+    return height if lowest < height else None
+
+
 def _sweeps(person: SceneObject, spot: Array, horizon: float, reach: float, now: float) -> bool:
     """Distance in the plane from `spot` to the segment of the person's axis, swept along its velocity."""
     velocity = np.asarray(person.velocity)
     start = np.asarray(person.pose.position) + velocity * (now - person.stamp)
     radius, half = _axis(person)
-    slack = reach + radius + person.error + person.velocity_error * horizon
+    slack = reach + radius + person.error
     ticks = max(2, int(np.ceil(horizon * float(np.linalg.norm(velocity[:2])) / 0.05)) + 1)
     for share in np.linspace(0.0, horizon, ticks):
         centre = (start + share * velocity)[:2]

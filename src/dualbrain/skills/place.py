@@ -9,6 +9,7 @@ from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.records import Bowl, Scene
 from dualbrain.skills import geometry, parameters
+from dualbrain.skills.journey import arrive, come_down, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, lifted
 from dualbrain.skills.route import bend
 from dualbrain.skills.skill import Ending, Status, Story
@@ -67,22 +68,23 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
     down = _release_goal(limb, point + np.array([0.0, 0.0, room + held.below_tool]))
     if down is None:
         return Ending(Status.FAILED, f"{destination} is out of reach")
-    if wait == "until_clear":
-        if why := (yield from limb.wait_for_people("carry", (limb.senses.tool.position + point) / 2, 4.0, reach=0.35)):
-            return why
+    middle = (limb.senses.tool.position + point) / 2
+    if wait == "until_clear" and (
+        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "carry", reach=0.35))
+    ):
+        return why
     height = max(limb.floor + clearance + held.below_tool, float(down.position[2]))
-    if why := (yield from limb.travel(_way(limb, lifted(down, height), route), "carry", speed)):
+    above = lifted(down, height)
+    if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)):
         return why
-    if why := (yield from limb.wait_for_people("lower", down.position, 1.5 + 2.0 * (height - down.position[2]) / speed)):
-        return why
-    if why := (yield from limb.reach(down, "lower", min(speed, 0.15))):
+    if why := (yield from come_down(limb, above, down, "lower", min(speed, 0.15), approach="carry")):
         return why
     if not limb.grips():
         limb.holding = None
         return Ending(Status.FAILED, f"carry: {held.name} was lost on the way")
     yield from limb.open(limb.body.gripper.opening.value)
     away = lifted(down, max(height, float(down.position[2]) + 0.06))
-    if why := (yield from limb.reach(limb.shifted(away, away.position), "retreat", speed)):
+    if why := (yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)):
         return why
     return _look(limb, held.name, destination, point, radius)
 
@@ -98,10 +100,10 @@ def _release_goal(limb: Limb, position: Array) -> Goal | None:
 
 def _way(limb: Limb, end: Goal, route: str) -> list[Goal]:
     """The points to pass: straight up where needed, the route's bend, then above the destination."""
-    tool = limb.senses.tool
-    here = Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q)
-    points = [lifted(here, float(end.position[2]))] if tool.position[2] < end.position[2] - 0.01 else []
-    via = bend(tool.position, end.position, route)
+    here = limb.here()
+    height = float(end.position[2])
+    points = [lifted(here, height)] if here.position[2] < height - 0.01 else []
+    via = bend(here.position, end.position, route)
     if via is not None:
         points.append(limb.shifted(end, via))
     return [*points, end]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from dualbrain.contracts.skill_spec import ContactPermit, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.skills import parameters
-from dualbrain.skills.limb import Goal, Limb
+from dualbrain.skills.journey import arrive
+from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Status, Story
 
 BACK = 0.08
@@ -34,9 +33,8 @@ def story(limb: Limb, *, speed: float) -> Story:
     held, support = limb.holding, limb.support
     limb.begin(spec(limb.body), target=held.name if held else None, support=support.name if support else None)
     yield from limb.open(limb.body.gripper.opening.value)
-    tool = limb.senses.tool
-    here = Goal(tool.position.copy(), tool.rotation.copy(), limb.senses.state.q)
-    back = limb.shifted(here, here.position - BACK * here.rotation[:, 2] * np.array([1.0, 1.0, 1.0]))
-    if why := (yield from limb.reach(back, "retreat", speed)):
+    here = limb.here()
+    back = limb.shifted(here, here.position - BACK * here.rotation[:, 2])
+    if why := (yield from arrive(limb, back, "retreat", speed)):
         return why
     return Ending(Status.DONE, f"let go of {held.name}" if held else "the hand is open")
