@@ -7,9 +7,9 @@ not followed, so that a key goes to no other host than the one that was named.
 from __future__ import annotations
 
 import json
-import math
 import re
 import socket
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from threading import Event, Timer
@@ -27,9 +27,9 @@ _CUT = frozenset({"length", "max_tokens"})
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error, `figures` are the server's.
+    """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error.
 
-    `figures`: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens; only those that the server told.
+    `figures` are those that the server told: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens.
     """
 
     text: str
@@ -80,11 +80,12 @@ def _post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, by
     """Status and body of the answer. At `timeout_s` the socket is shut, however slowly bytes may be dripping in."""
     if timeout_s <= 0:
         return Answer("", protocol.TIMEOUT)
-    connection, late = _connection(url, timeout_s), Event()
-    timer = Timer(timeout_s, _shut, (connection, late))
-    timer.daemon = True
-    timer.start()
+    connection, late, timer = _connection(url, timeout_s), Event(), None
     try:
+        connection.connect()
+        timer = Timer(timeout_s, _shut, (connection.sock, late))  # its own socket: the connection lets go of it early
+        timer.daemon = True
+        timer.start()
         headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
         connection.request("POST", urlsplit(url).path, data, headers)
         reply = connection.getresponse()
@@ -94,7 +95,8 @@ def _post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, by
     except (OSError, HTTPException) as error:
         return Answer("", protocol.TIMEOUT) if late.is_set() else Answer("", protocol.ERROR, type(error).__name__)
     finally:
-        timer.cancel()
+        if timer is not None:
+            timer.cancel()
         connection.close()
     if late.is_set():
         return Answer("", protocol.TIMEOUT)
@@ -109,13 +111,10 @@ def _connection(url: str, timeout_s: float) -> HTTPConnection:
     return kind(address.hostname or "", address.port, timeout=timeout_s)
 
 
-def _shut(connection: HTTPConnection, late: Event) -> None:
+def _shut(sock: socket.socket, late: Event) -> None:
     late.set()
-    if connection.sock is not None:
-        try:
-            connection.sock.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            return  # closed already: nobody is waiting on it
+    with suppress(OSError):  # closed already: nobody is waiting on it
+        sock.shutdown(socket.SHUT_RDWR)
 
 
 def _figures(completion: dict[str, Any]) -> dict[str, float]:
@@ -129,11 +128,15 @@ def _figures(completion: dict[str, Any]) -> dict[str, float]:
         "cached_tokens": (timings.get("cache_n"), 1.0),
         "output_tokens": (usage.get("completion_tokens"), 1.0),
     }
-    return {name: value * scale for name, (value, scale) in told.items() if _is_count(value)}
+    counts = {name: (_count(value), scale) for name, (value, scale) in told.items()}
+    return {name: count * scale for name, (count, scale) in counts.items() if count is not None}
 
 
-def _is_count(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+def _count(value: object) -> float | None:
+    """`value` if it is a finite number that is not negative (a server may send anything, 400-digit integers too)."""
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1e12:
+        return None
+    return float(value)
 
 
 def _excerpt(data: bytes) -> str:

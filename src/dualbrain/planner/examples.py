@@ -44,33 +44,33 @@ WORKED_EXAMPLES = (
             "robot panda; holding nothing\n"
             "orange_tin: object, neighbour_on_finger_axis none, neighbour_across low 3-6cm, near_edge no\n"
             "white_tray: container\n"
-            "path orange_tin to white_tray: path_max_height low, path_blocked_direct no, overhead none\n"
+            "path orange_tin to white_tray: path_max_height low, path_blocked_direct yes, overhead none\n"
             "person: crossing\n"
             "places: shelf_front"
         ),
-        instruction="move the orange can onto the tray, gently please, then go home",
+        instruction="put the orange can on the tray, gently please, then go home",
         actions=(
             _grasp("orange_tin", speed=0.1, wait="until_clear"),
-            _place("white_tray", speed=0.1, wait="until_clear"),
+            _place("white_tray", speed=0.1, route="near_base", wait="until_clear"),
             {"skill": "home", "params": {"speed": 0.2}},
         ),
     ),
     WorkedExample(
         scene=(
             "robot panda; holding nothing\n"
-            "grey_box: object, neighbour_on_finger_axis tall 3-6cm, neighbour_across none, near_edge no\n"
-            "brown_jar: object, neighbour_on_finger_axis none, neighbour_across tall 3-6cm, near_edge no\n"
+            "grey_box: object, neighbour_on_finger_axis none, neighbour_across tall 3-6cm, near_edge no\n"
+            "brown_jar: object, neighbour_on_finger_axis low 3-6cm, neighbour_across none, near_edge no\n"
             "white_tray: container\n"
             "path grey_box to white_tray: path_max_height low, path_blocked_direct no, overhead none\n"
             "path brown_jar to shelf_front: path_max_height tall, path_blocked_direct yes, overhead none\n"
             "person: none\n"
             "places: shelf_front, shelf_back"
         ),
-        instruction="set the grey case on the tray and the brown jar at the front of the shelf",
+        instruction="move the grey case to the tray and the brown jar to the front of the shelf",
         actions=(
-            _grasp("grey_box", finger_axis="across"),
+            _grasp("grey_box"),
             _place("white_tray"),
-            _grasp("brown_jar"),
+            _grasp("brown_jar", finger_axis="across"),
             _place("shelf_front", clearance=0.2, route="near_base"),
         ),
     ),

@@ -1,4 +1,4 @@
-"""The default planner: a GGUF model in llama.cpp, in a process of its own, its answers bound to the contract's grammar."""
+"""The default planner: a GGUF model in llama.cpp, in its own process, its answers bound to the contract's grammar."""
 
 from __future__ import annotations
 
@@ -32,13 +32,16 @@ _CHILD = Path(__file__).with_name("llama_child.py")
 
 @dataclass(frozen=True, slots=True)
 class LlamaConfig:
-    """How the model runs: `threads` 1 beside a control loop (more only on idle cores), `n_ctx` and `max_tokens` in
-    tokens, `timeout_s` for one proposal, including the load of the model [s]."""
+    """How the model runs.
+
+    `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` in tokens (eight actions fit).
+    `timeout_s`: for one proposal, including the load of the model [s].
+    """
 
     threads: int = 1
     n_ctx: int = 6144
     max_tokens: int = 640
-    timeout_s: float = 180.0
+    timeout_s: float = 600.0
 
 
 class LlamaPlanner:
@@ -53,7 +56,7 @@ class LlamaPlanner:
         self,
         name: str,
         model: Path,
-        config: LlamaConfig = LlamaConfig(),  # noqa: B008 (frozen)
+        config: LlamaConfig = LlamaConfig(),
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -8,6 +8,8 @@ until its standard input closes, so that it never outlives its parent.
 import json
 import os
 import sys
+from importlib import import_module
+from typing import Any
 
 
 def main() -> None:
@@ -25,9 +27,8 @@ def main() -> None:
     os._exit(0)
 
 
-def _start(settings: dict[str, object]):  # noqa: ANN202 (the package has no types)
-    import xllamacpp  # noqa: PLC0415 (only this process needs it)
-
+def _start(settings: dict[str, Any]) -> Any:
+    xllamacpp = import_module("xllamacpp")  # here, so that a broken package is told to the parent too
     params = xllamacpp.CommonParams()
     params.model.path = settings["model"]
     params.n_ctx = settings["n_ctx"]

@@ -36,9 +36,3 @@ class Planner(Protocol):
     def close(self) -> None:
         """Release the model; the planner is not used afterwards."""
         ...
-
-
-def failed(planner: str, reason: str, *, constrained_by: str, total: float, detail: str = "") -> Proposal:
-    """A proposal without text: `reason` is one of the finish reasons above, `total` the time spent [s]."""
-    finish = f"{reason}: {detail}" if detail else reason
-    return Proposal("", finish, planner, constrained_by, {"total": total})

@@ -1,8 +1,8 @@
 """Text from outside (people, perception, memory) made safe to stand inside a block of the prompt.
 
-A block is `<tag>`, lines, `</tag>`. Law: sanitised text holds neither `<` nor `>`, so no input can close its block, open
-another one, or spell a control token of a chat template (`<|im_end|>`, `</s>`, `<start_of_turn>`), which servers parse
-even inside a message. Square brackets go too, because some templates mark turns with `[INST]`.
+A block is `<tag>`, lines, `</tag>`. Law: sanitised text holds neither `<` nor `>`, so no input can close its block,
+open another one, or spell a control token of a chat template (`<|im_end|>`, `</s>`, `<start_of_turn>`), which servers
+parse even inside a message. Square brackets go too, because some templates mark turns with `[INST]`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ import re
 import unicodedata
 from typing import Any
 
+LONGEST_STRING = 160
+"""Characters of one string inside JSON from outside."""
+
 _WORDS = (("->", " to "), ("<", " under "), (">", " over "), ("[", "("), ("]", ")"))
 _INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
 
 
 def sanitise(text: str, *, limit: int, lines: int = 1) -> str:
-    """`text` in at most `limit` characters and `lines` lines, without control, invisible or delimiting characters.
+    """`text` in at most `limit` characters and `lines` lines, without invisible and delimiting characters.
 
     Compatibility forms are folded first (NFKC), so that full-width brackets count as brackets. Idempotent up to the
     length limit; a text that is cut ends in "...".
@@ -35,9 +38,9 @@ def block(tag: str, text: str, *, limit: int, lines: int = 1) -> str:
 
 
 def compact_json(value: Any, *, limit: int) -> str:
-    """`value` as one line of JSON in ASCII with every string in it sanitised; "" when it is not JSON or over `limit`."""
+    """`value` as one line of ASCII JSON with every string in it sanitised; "" when it is not JSON or over `limit`."""
     try:
-        text = json.dumps(_clean_value(value, limit), separators=(",", ":"), allow_nan=False)
+        text = json.dumps(_clean_value(value), separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         return ""
     return text if len(text) <= limit else ""
@@ -50,13 +53,13 @@ def _clean_line(row: str) -> str:
     return " ".join(visible.split())
 
 
-def _clean_value(value: Any, limit: int) -> Any:
+def _clean_value(value: Any) -> Any:
     match value:
         case str():
-            return sanitise(value, limit=limit)
+            return sanitise(value, limit=LONGEST_STRING)
         case dict():
-            return {sanitise(str(key), limit=limit): _clean_value(item, limit) for key, item in value.items()}
+            return {sanitise(str(key), limit=LONGEST_STRING): _clean_value(item) for key, item in value.items()}
         case list() | tuple():
-            return [_clean_value(item, limit) for item in value]
+            return [_clean_value(item) for item in value]
         case _:
             return value

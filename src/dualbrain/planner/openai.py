@@ -1,0 +1,106 @@
+"""Any server that speaks the OpenAI chat API: vLLM, llama.cpp, Ollama, a hosted model.
+
+What the server promises about the form of its answer is recorded and never believed: the gate checks every contract.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.planner.chat import Answer, ask, strip_fence
+from dualbrain.planner.grammar import narrow
+from dualbrain.planner.prompt import render
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one server takes a schema, and what is known of how well it keeps to it."""
+
+    constrained_by: str
+    constraint: Callable[[dict[str, Any]], dict[str, Any]]
+
+
+def _response_format(schema: dict[str, Any]) -> dict[str, Any]:
+    form = {"name": "contract", "strict": True, "schema": schema}
+    return {"response_format": {"type": "json_schema", "json_schema": form}}
+
+
+DIALECTS = {
+    "openai": Dialect("response_format json_schema (strict)", _response_format),
+    "vllm": Dialect("structured_outputs json (vLLM)", lambda schema: {"structured_outputs": {"json": schema}}),
+    "llama.cpp": Dialect(
+        "response_format json_schema (llama.cpp, numeric bounds not enforced)",
+        lambda schema: _response_format(schema) | {"cache_prompt": True},
+    ),
+    "ollama": Dialect("response_format json_schema (Ollama, numeric bounds not enforced)", _response_format),
+    "free": Dialect("nothing (free decoding)", lambda schema: {}),
+}
+"""`openai` is understood by nearly all; `free` asks for no constraint, to measure what a model does by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServerConfig:
+    """Where and how to ask: `url` up to and including `/v1`, `model` as the server calls it, one `timeout_s` [s]."""
+
+    url: str
+    model: str = "default"
+    key: str = ""
+    dialect: str = "openai"
+    max_tokens: int = 800
+    timeout_s: float = 120.0
+
+
+class ServerPlanner:
+    """Proposes by asking the server at `config.url`; needs nothing but the standard library.
+
+    Raises `InvalidSetup` for an address that is not http(s) and `UnknownName` for an unknown dialect.
+    """
+
+    def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
+        _require_address(config.url)
+        if config.dialect not in DIALECTS:
+            raise UnknownName("dialect", config.dialect, tuple(DIALECTS))
+        self._config, self._clock, self._dialect = config, clock, DIALECTS[config.dialect]
+
+    @property
+    def name(self) -> str:
+        """Model and host; never the key."""
+        return f"{self._config.model}@{urlsplit(self._config.url).hostname}"
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """Answer `request`; whatever the server does becomes a finish reason."""
+        begun = self._clock()
+        url = f"{self._config.url.rstrip('/')}/chat/completions"
+        answer = ask(url, self._body(request), key=self._config.key, timeout_s=self._config.timeout_s)
+        return self._proposal(answer, self._clock() - begun)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _body(self, request: PlanRequest) -> dict[str, Any]:
+        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "stream": False}
+        question = {"model": self._config.model, "messages": render(request)}
+        return question | limits | self._dialect.constraint(narrow(request.schema))
+
+    def _proposal(self, answer: Answer, total: float) -> Proposal:
+        text, fenced = strip_fence(answer.text)
+        constrained_by = self._dialect.constrained_by + ("; code fence stripped" if fenced else "")
+        finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish
+        return Proposal(text, finish, self.name, constrained_by, {**answer.figures, "total": total})
+
+
+def _require_address(url: str) -> None:
+    try:
+        address = urlsplit(url)
+        fine = address.scheme in {"http", "https"} and bool(address.hostname) and (address.port or 1) > 0
+    except ValueError:
+        fine = False
+    if not fine:
+        raise InvalidSetup("planner address", got=url, allowed="http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1")

@@ -1,0 +1,47 @@
+"""From a name, a GGUF file or an address to a planner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import urldefrag
+
+from dualbrain.errors import UnknownName
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.openai import ServerConfig, ServerPlanner
+from dualbrain.planner.protocol import Planner
+from dualbrain.weights import MANIFEST, locate
+
+DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
+SMALL_PLANNER = "smollm2-135m-instruct"
+"""For tests; it does not plan unaided."""
+
+
+def planner_names() -> tuple[str, ...]:
+    """Names of the language models in the manifest."""
+    return tuple(name for name, file in MANIFEST.items() if file.filename.endswith(".gguf"))
+
+
+def open_planner(
+    name_or_url: str,
+    cache: Path,
+    *,
+    key: str = "",
+    dialect: str = "openai",
+    threads: int = 1,
+    timeout_s: float = 600.0,
+) -> Planner:
+    """The planner called `name_or_url`, ready to propose.
+
+    A name of the manifest (its verified file in `cache`), the path of a GGUF file, or an address such as
+    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`. Raises `UnknownName`, `MissingPart`,
+    `WrongHash`, `InvalidSetup`.
+    """
+    if "://" in name_or_url:
+        url, model = urldefrag(name_or_url)
+        return ServerPlanner(ServerConfig(url, model or "default", key, dialect, timeout_s=timeout_s))
+    config = LlamaConfig(threads=threads, timeout_s=timeout_s)
+    if name_or_url.endswith(".gguf"):
+        return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
+    if name_or_url not in planner_names():
+        raise UnknownName("planner", name_or_url, planner_names(), owner="the manifest (a GGUF file or URL also works)")
+    return LlamaPlanner(name_or_url, locate(name_or_url, cache), config)

@@ -1,0 +1,31 @@
+"""A planner that says what it was told to say. For tests: no result may be reported from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dualbrain.planner import protocol
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+
+
+class ScriptedPlanner:
+    """Answers with `texts` in order, then repeats the last one; keeps the requests it got in `asked`."""
+
+    def __init__(self, texts: Sequence[str], *, finish_reason: str = protocol.STOP) -> None:
+        self._texts, self._finish_reason = tuple(texts), finish_reason
+        self.asked: list[PlanRequest] = []
+
+    @property
+    def name(self) -> str:
+        """Says that no model stands behind it."""
+        return "scripted"
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """The next text of the script."""
+        self.asked.append(request)
+        text = self._texts[min(len(self.asked), len(self._texts)) - 1] if self._texts else ""
+        return Proposal(text, self._finish_reason, self.name, "nothing (scripted)", {"total": 0.0})
+
+    def close(self) -> None:
+        """Nothing is held open."""

@@ -1,0 +1,66 @@
+"""Requests, scenes and recalled episodes that the planner's tests ask with."""
+
+from typing import Any
+
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Exemplar, Recall
+
+NAMES = SceneNames(("red_cube", "green_cylinder"), ("blue_bowl", "table_left"))
+SCENE = """robot panda; holding nothing
+red_cube: object, neighbour_on_finger_axis none, neighbour_across low <3cm, near_edge no
+blue_bowl: container
+path red_cube -> blue_bowl: path_max_height tall, path_blocked_direct yes, overhead none
+person: crossing
+places: table_left"""
+
+SPEED = Number("speed", "m/s", 0.05, 0.4, "site policy", "site policy", "tool speed on the way")
+REGISTRY = Registry(
+    "panda",
+    (
+        SkillSpec("grasp", "take an object", (Name("object", "graspable"), SPEED)),
+        SkillSpec(
+            "place", "put it there", (Name("destination", "receptive"), SPEED, Choice("wait", ("none", "clear")))
+        ),
+        SkillSpec("decline", "refuse", (Text("reason", 40, "why not"),)),
+    ),
+)
+"""A short vocabulary, so that answers of the small model stay short."""
+
+
+def request(instruction: str = "put the red cube in the bowl", **changed: Any) -> PlanRequest:
+    """A request about the scene above."""
+    facts: dict[str, Any] = {
+        "instruction": instruction,
+        "scene": SCENE,
+        "recall": Recall(),
+        "robot": REGISTRY.robot,
+        "registry_hash": REGISTRY.hash,
+        "skills_text": short_form(REGISTRY, NAMES),
+        "schema": REGISTRY.decoding_schema(NAMES),
+        "contract_id": "c-0007",
+    }
+    return PlanRequest(**(facts | changed))
+
+
+def exemplar(instruction: str = "fetch the tin", rank: int = 1, **changed: Any) -> Exemplar:
+    """A remembered episode."""
+    facts: dict[str, Any] = {
+        "episode_id": f"e-{rank}",
+        "instruction": instruction,
+        "summary": "robot panda; holding nothing",
+        "contract": {
+            "id": "c-0001",
+            "action_sequence": [{"skill": "grasp", "params": {"object": "tin", "speed": 0.1}}],
+        },
+        "succeeded": True,
+        "Delta": 0.01,
+        "similarity": 0.9,
+        "weight": 0.5,
+        "score": 0.8,
+        "rank": rank,
+    }
+    return Exemplar(**(facts | changed))

@@ -1,0 +1,162 @@
+"""A server may answer anything or nothing: what comes out is a proposal with a finish reason, never an exception."""
+
+import time
+from http.server import BaseHTTPRequestHandler
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.planner import chat, protocol
+from dualbrain.planner.openai import DIALECTS, ServerConfig, ServerPlanner
+from dualbrain.planner.prompt import render
+from dualbrain.records import Proposal
+from tests.planner.fake_server import Behaviour, FakeServer, completion, says, serve
+from tests.planner.questions import request
+
+CONTRACT = '{"id":"c-0007"}'
+
+
+def ask(behaviour: Behaviour, timeout_s: float = 5.0, **config: str) -> tuple[Proposal, FakeServer]:
+    with serve(behaviour) as server:
+        planner = ServerPlanner(ServerConfig(server.url, timeout_s=timeout_s, **config))
+        return planner.propose(request()), server
+
+
+def drip(call: BaseHTTPRequestHandler) -> None:
+    """One byte at a time, for ever: each one comes in time, the whole never does."""
+    call.send_response(200)
+    call.send_header("Content-Length", "1000000")
+    call.end_headers()
+    while not call.server.over.wait(0.02):
+        call.wfile.write(b" ")
+        call.wfile.flush()
+
+
+def silence(call: BaseHTTPRequestHandler) -> None:
+    call.server.over.wait(10.0)
+
+
+def hang_up(call: BaseHTTPRequestHandler) -> None:
+    call.close_connection = True
+
+
+def flood(call: BaseHTTPRequestHandler) -> None:
+    call.send_response(200)
+    call.end_headers()
+    for _ in range(4 * chat.LARGEST_ANSWER // 65536):
+        call.wfile.write(b"[" * 65536)
+
+
+def test_a_good_answer_comes_through_with_its_figures() -> None:
+    proposal, server = ask(says(completion(CONTRACT)), model="m", key="secret")
+    assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
+    assert proposal.timings["output_tokens"] == 20
+    assert proposal.timings["total"] > 0
+    assert "secret" not in repr(proposal)
+    (path, body), headers = server.asked[0], server.headers[0]
+    assert path == "/v1/chat/completions"
+    assert headers["Authorization"] == "Bearer secret"
+    assert body["messages"] == render(request())
+    assert body["response_format"]["json_schema"]["strict"] is True
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_each_dialect_is_recorded_and_passes_no_words_for_people(dialect: str) -> None:
+    proposal, server = ask(says(completion(CONTRACT)), dialect=dialect)
+    assert proposal.constrained_by == DIALECTS[dialect].constrained_by
+    body = repr({key: value for key, value in server.asked[0][1].items() if key != "messages"})
+    assert "$schema" not in body
+    assert ("decline" in body) == (dialect != "free")
+
+
+@pytest.mark.parametrize("fence", ["```json\n%s\n```", "```\n%s\n```", "\n ```json\n%s```\n"])
+def test_a_code_fence_is_taken_off_and_recorded(fence: str) -> None:
+    proposal, _ = ask(says(completion(fence % CONTRACT)))
+    assert proposal.text == CONTRACT
+    assert "code fence stripped" in proposal.constrained_by
+
+
+def test_a_fence_inside_is_left_alone() -> None:
+    text = 'here: ```json\n{"id":1}\n```'
+    assert chat.strip_fence(text) == (text, False)
+
+
+REFUSED = completion(None, refusal="I will not")
+BAD = {
+    "garbage": (says(b"\xff\x00 not json"), protocol.ERROR),
+    "empty": (says(b""), protocol.ERROR),
+    "NaN": (says(b"NaN"), protocol.ERROR),
+    "a number": (says(b"7"), protocol.ERROR),
+    "deep": (says(b"[" * 200_000), protocol.ERROR),
+    "no choices": (says(b'{"choices":[]}'), protocol.ERROR),
+    "choices of text": (says(b'{"choices":"abc"}'), protocol.ERROR),
+    "null message": (says(b'{"choices":[{"message":null,"finish_reason":"stop"}]}'), protocol.ERROR),
+    "no text": (says(completion(None)), protocol.ERROR),
+    "tool call": (says(completion(None, "tool_calls")), protocol.ERROR),
+    "odd finish": (says(completion(CONTRACT, "because")), protocol.ERROR),
+    "finish of another type": (says(completion(CONTRACT, ["stop"])), protocol.ERROR),
+    "500": (says(b'{"error":{"message":"boom"}}', 500), protocol.ERROR),
+    "401": (says(b"who are you", 401), protocol.ERROR),
+    "redirect": (says(b"", 307), protocol.ERROR),
+    "refusal": (says(REFUSED), protocol.REFUSAL),
+    "content filter": (says(completion("", "content_filter")), protocol.REFUSAL),
+    "hang up": (hang_up, protocol.ERROR),
+    "flood": (flood, protocol.ERROR),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_answer_becomes_a_finish_reason(name: str) -> None:
+    behaviour, expected = BAD[name]
+    proposal, _ = ask(behaviour)
+    assert proposal.text == ""
+    assert proposal.finish_reason.split(":")[0] == expected
+    assert len(proposal.finish_reason) < 700
+    assert proposal.finish_reason.isprintable()
+
+
+def test_a_cut_answer_is_marked() -> None:
+    proposal, _ = ask(says(completion('{"id":', "length")))
+    assert proposal.finish_reason == protocol.LENGTH
+
+
+def test_odd_figures_are_left_out() -> None:
+    body = completion(CONTRACT).replace(b"100", b'"many"').replace(b"20", b"1" + b"0" * 400)
+    proposal, _ = ask(says(body))
+    assert proposal.text == CONTRACT
+    assert set(proposal.timings) == {"total"}
+
+
+@pytest.mark.parametrize("behaviour", [silence, drip])
+def test_the_time_limit_is_for_the_whole_answer(behaviour: Behaviour) -> None:
+    begun = time.monotonic()
+    proposal, _ = ask(behaviour, timeout_s=0.3)
+    assert proposal.finish_reason == protocol.TIMEOUT
+    assert time.monotonic() - begun < 3.0
+
+
+def test_nobody_at_the_address() -> None:
+    with serve(silence) as server:
+        url = server.url
+    proposal = ServerPlanner(ServerConfig(url, timeout_s=2.0)).propose(request())
+    assert proposal.finish_reason == "error: ConnectionRefusedError"
+
+
+@pytest.mark.parametrize(
+    "url", ["ftp://host/v1", "file:///etc/passwd", "http://", "host:80/v1", "http://host:99999999/v1"]
+)
+def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
+    with pytest.raises(InvalidSetup, match="https://HOST"):
+        ServerPlanner(ServerConfig(url))
+
+
+def test_an_unknown_dialect_lists_the_known_ones() -> None:
+    with pytest.raises(UnknownName, match="vllm"):
+        ServerPlanner(ServerConfig("http://host/v1", dialect="vlm"))
+
+
+@given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
+def test_no_bytes_make_the_reader_raise(body: bytes) -> None:
+    assert isinstance(chat.read_completion(body), chat.Answer)

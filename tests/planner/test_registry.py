@@ -1,0 +1,45 @@
+"""From a name to a planner, or to a message that says what to do."""
+
+from pathlib import Path
+
+import pytest
+
+from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.planner.openai import ServerPlanner
+from dualbrain.planner.registry import DEFAULT_PLANNER, SMALL_PLANNER, open_planner, planner_names
+from dualbrain.planner.scripted import ScriptedPlanner
+from tests.planner.questions import request
+
+
+def test_the_planners_are_the_language_models_of_the_manifest() -> None:
+    assert set(planner_names()) == {DEFAULT_PLANNER, SMALL_PLANNER}
+
+
+def test_missing_weights_say_how_to_get_them(tmp_path: Path) -> None:
+    with pytest.raises(MissingPart, match=f"dualbrain models fetch {DEFAULT_PLANNER}"):
+        open_planner(DEFAULT_PLANNER, tmp_path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MissingPart, match="mine"):
+        open_planner(str(tmp_path / "mine.gguf"), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["gpt", "minilm-l6-v2-int8", ""])
+def test_an_unknown_planner_lists_the_known_ones(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match="smollm2"):
+        open_planner(name, tmp_path)
+
+
+def test_an_address_is_asked_for_the_model_after_the_hash_sign(tmp_path: Path) -> None:
+    planner = open_planner("http://localhost:8000/v1#qwen", tmp_path)
+    assert isinstance(planner, ServerPlanner)
+    assert planner.name == "qwen@localhost"
+    planner.close()
+
+
+def test_a_script_is_read_in_order_and_its_end_repeats() -> None:
+    planner = ScriptedPlanner(["one", "two"])
+    assert [planner.propose(request()).text for _ in range(3)] == ["one", "two", "two"]
+    assert len(planner.asked) == 3
+    planner.close()

@@ -1,0 +1,75 @@
+"""Law: no text from outside can close its block, open another, or spell a control token of a chat template."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.planner.untrusted import block, compact_json, sanitise
+
+ATTACKS = (
+    "</scene>", "<|im_end|>", "<|im_start|>system", "</s>", "[INST]", "[/INST]", "<start_of_turn>", "＜/scene＞", "\u202e",
+    "<\u200b/scene>", "\x00", "\x1b[2J", "\ud800", "\U000e0041", "\u2028", "```", "->", "{}", '"', "﹤|eot_id|﹥", "≮", "̸",
+)  # fmt: skip
+hostile = st.lists(st.sampled_from(ATTACKS) | st.text(max_size=8), max_size=12).map("".join)
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | hostile,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(hostile, inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(text=hostile, lines=st.integers(1, 5), limit=st.integers(10, 200))
+def test_no_text_closes_its_block(text: str, lines: int, limit: int) -> None:
+    shown = block("scene", text, limit=limit, lines=lines)
+    assert shown.startswith("<scene>\n")
+    assert shown.endswith("\n</scene>")
+    inside = shown.removeprefix("<scene>\n").removesuffix("\n</scene>")
+    assert not set(inside) & set("<>[]＜＞﹤﹥")
+    assert len(inside) <= limit
+    assert inside.count("\n") < lines
+    assert inside.replace("\n", " ").isprintable()
+
+
+@given(text=hostile, lines=st.integers(1, 5))
+def test_sanitising_twice_changes_nothing(text: str, lines: int) -> None:
+    once = sanitise(text, limit=1000, lines=lines)
+    assert sanitise(once, limit=1000, lines=lines) == once
+
+
+@given(value=json_values)
+def test_json_from_outside_is_one_harmless_line(value: object) -> None:
+    text = compact_json(value, limit=500)
+    assert text.isascii()
+    assert text.isprintable()
+    assert not set(text) & set("<>")
+    if text:
+        json.loads(text)
+
+
+def test_symbols_of_a_summary_stay_readable() -> None:
+    assert sanitise("path a -> b: gap <3cm", limit=100) == "path a to b: gap under 3cm"
+
+
+@pytest.mark.parametrize("text", ["", "  \n\t ", "\u200b"])
+def test_an_empty_text_says_so(text: str) -> None:
+    assert block("instruction", text, limit=100) == "<instruction>\n(empty)\n</instruction>"
+
+
+def test_ordinary_words_of_any_language_pass() -> None:
+    for text in (
+        "Leg den roten Würfel in die Schüssel!",
+        "把红色方块放进碗里",
+        "mets le cube rouge dans le bol, s'il te plaît",
+    ):
+        assert sanitise(text, limit=100) == text.replace("，", ",")  # noqa: RUF001
+
+
+def test_a_very_deep_or_endless_value_is_left_out() -> None:
+    deep: list[object] = []
+    for _ in range(100_000):
+        deep = [deep]
+    assert compact_json(deep, limit=500) == ""
+    assert compact_json(float("nan"), limit=500) == ""
+    assert compact_json("x" * 10_000, limit=500).endswith('..."') or compact_json("x" * 10_000, limit=500) == ""
