@@ -132,3 +132,14 @@ def test_the_short_form_names_everything_the_schema_bounds() -> None:
                 assert f"{parameter.of} name" in line
     assert "graspable: red_cube, blue_cube, tall_cup" in text
     assert short_form(REGISTRY, SceneNames()).endswith("graspable: nothing\nreceptive: nothing")
+
+
+@pytest.mark.parametrize("identity", ["c-0001\n", "c-00011", "xc-0001", "c-٠٠٠١"])
+def test_no_reader_takes_an_id_with_something_after_it(identity: str) -> None:
+    context = {"robot": "panda", "registry": REGISTRY.hash}
+    steps = [{"skill": "home", "params": {"speed": 0.1}}]
+    document = {"id": identity, "context": context, "action_sequence": steps}
+    for reader in (jsonschema.Draft7Validator, jsonschema_rs.Draft7Validator):
+        for schema in (REGISTRY.validation_schema(NAMES), syntax_schema(REGISTRY)):
+            assert not reader(schema).is_valid(document)
+            assert reader(schema).is_valid(document | {"id": "c-0001"})
