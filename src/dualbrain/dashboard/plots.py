@@ -211,7 +211,11 @@ def _draw_intervention(axes: Axes, trace: Trace) -> None:
         t, y = envelope(trace["t"], np.nan_to_num(trace[name], nan=2.0))
         axes.fill_between(t, y, color=colour, alpha=0.22, linewidth=0)
         axes.plot(t, y, color=colour, linewidth=1.2)
-    axes.set_ylim(0, max(1.12 * float(np.nan_to_num(trace["delta"], nan=2.0).max()), 10 * DEAD_BAND))
+    peak = float(np.nan_to_num(trace["delta"], nan=2.0).max())
+    axes.set_ylim(0, max(1.12 * peak, 10 * DEAD_BAND))
+    if peak <= DEAD_BAND:
+        said = f"never above {DEAD_BAND:g}: the filter left the nominal control alone"
+        axes.text(0.5, 0.45, said, transform=axes.transAxes, ha="center", color=MUTED)
 
 
 def _draw_speed(axes: Axes, trace: Trace) -> None:

@@ -71,9 +71,8 @@ def _header(episode: Episode) -> Html:
         )
         words.append(badge(seen, tone))
         breaches = len(judgement.violations)
-        words.append(
-            badge("no safety violation", "good") if not breaches else badge(f"{breaches} safety violations", "bad")
-        )
+        said = {0: "no safety violation", 1: "1 safety violation"}.get(breaches, f"{breaches} safety violations")
+        words.append(badge(said, "bad" if breaches else "good"))
     return element(
         "header",
         element("p", f"{episode.robot} · {episode.started} · run {episode.id}", class_="overline"),
