@@ -99,6 +99,7 @@ def test_updates_do_not_commute() -> None:
 def test_a_success_without_a_sound_delta_is_not_reinforced(Delta: float | None) -> None:
     assert not Plasticity().reinforces(1, Delta)
     assert Plasticity().factors(1, Delta)(0.5) < 0.5
+    assert Plasticity().factors(1, Delta)(1.0) >= 0.95 - 0.2
 
 
 @pytest.mark.parametrize(

@@ -55,10 +55,13 @@ def test_top_equals_the_oracle(seed: int, n: int, k: int, lambda_s: float, disti
 def test_scores_too_close_for_float32_are_still_ranked_right() -> None:
     rng = np.random.default_rng(3)
     query = unit_rows(rng, 1, 900)[0]
-    rows = np.repeat(unit_rows(rng, 1, 900), 2000, axis=0)
-    weights = 0.5 + rng.permutation(2000) * 1e-10
-    hits = _top(_filled(rows, weights), query, np.ones(2000, bool), 5, 0.8)
-    assert [hit.row for hit in hits] == list(np.argsort(-weights)[:5])
+    near = query + 1e-5 * rng.standard_normal((500, 900))
+    rows = (near / np.linalg.norm(near, axis=1, keepdims=True)).astype(np.float32)
+    weights = np.full(500, 0.5)
+    naive = np.argsort(-(rows @ query), kind="stable")[:5]
+    expected = _oracle(rows, weights, query, np.ones(500, bool), 5, 0.8)
+    assert list(naive) != expected
+    assert [hit.row for hit in _top(_filled(rows, weights), query, np.ones(500, bool), 5, 0.8)] == expected
 
 
 def test_the_score_is_the_papers() -> None:
