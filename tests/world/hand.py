@@ -29,6 +29,7 @@ def top_down(p, position, yaw):
     site, jacobian = model.site("robot/tcp").id, np.zeros((6, model.nv))
     c, s = np.cos(yaw), np.sin(yaw)
     goal, q = np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]]), HOME.copy()
+    q[0] = np.arctan2(position[1], position[0])
     for _ in range(100):
         data.qpos[arm] = q
         mujoco.mj_kinematics(model, data)

@@ -87,8 +87,8 @@ def test_progress_rises_through_a_pick_and_place():
     bowl = np.array(p.truth("blue_bowl").position)
     over = top_down(p, np.add(bowl, [0, 0, 0.15]), 0.0)
     servo(p, over, 2.0, opening=0.0)
-    servo(p, top_down(p, np.add(bowl, [0, 0, 0.07]), 0.0), 1.0, opening=0.0)
+    servo(p, top_down(p, np.add(bowl, [0, 0, 0.045]), 0.0), 1.5, opening=0.0)
     assert not referee.judge()[0], "not released"
-    servo(p, top_down(p, np.add(bowl, [0, 0, 0.07]), 0.0), 0.8)
+    servo(p, top_down(p, np.add(bowl, [0, 0, 0.045]), 0.0), 0.8)
     servo(p, over, 1.0)
     assert referee.judge() == (True, 1.0)

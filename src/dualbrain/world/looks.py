@@ -56,7 +56,7 @@ def dress_room(root: mujoco.MjSpec, floor: float) -> None:
         name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp
     )
     _legs(root, floor)
-    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.22), fovy=38)
+    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
     _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
     _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
 

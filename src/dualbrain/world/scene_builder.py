@@ -49,6 +49,7 @@ def _options(root: mujoco.MjSpec) -> None:
     root.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     root.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     root.option.impratio = 10.0
+    root.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a blown-up state must be seen, not hidden
 
 
 def _table(root: mujoco.MjSpec) -> None:
