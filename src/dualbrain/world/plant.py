@@ -84,10 +84,9 @@ class Plant:
             self._set_force(command.force)
 
     def stop(self) -> None:
-        """Cut the motors and engage the brakes; stays so until `enable`."""
+        """Cut the arm's motors and engage the brakes until `enable`; the gripper keeps its last set point and force."""
         self._enabled = False
         self.data.ctrl[self._drives] = 0.0
-        self._wanted = self._opening() if self._force == 0.0 else self._wanted
         self.model.opt.disableactuator |= 1 << ARM_GROUP
         self.model.dof_frictionloss[self._dof] = BRAKE_TORQUE
         self.model.body_gravcomp[self._moving] = 0.0
