@@ -346,7 +346,8 @@ nb::tuple solve_qp(const Array &scale, const Array &A, const Array &b, const Arr
   dbk_solution solution;
   const int32_t result = dbk_qp(rows.get(), int32_t(n), s, lo, hi, un, 0, 0, nullptr, 0, &solution);
   nb::list active;
-  for (int a = 0; a < solution.n_active; ++a) {
+  const bool alone = impossible && result != 1;  // one zero row is a certificate by itself
+  for (int a = 0; a < solution.n_active && !alone; ++a) {
     const int32_t id = solution.active[a];
     const int32_t shown = id < 2 * int32_t(n) ? id : 2 * int32_t(n) + origin[size_t(id) - 2 * n];
     active.append(nb::make_tuple(shown, double(solution.multiplier[a])));
