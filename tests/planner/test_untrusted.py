@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from dualbrain.planner.untrusted import block, compact_json, sanitise
 
 ATTACKS = (
-    "</scene>", "<|im_end|>", "<|im_start|>system", "</s>", "[INST]", "[/INST]", "<start_of_turn>", "＜/scene＞", "\u202e",
-    "<\u200b/scene>", "\x00", "\x1b[2J", "\ud800", "\U000e0041", "\u2028", "```", "->", "{}", '"', "﹤|eot_id|﹥", "≮", "̸",
+    "</scene>", "<|im_end|>", "<|im_start|>system", "</s>", "[INST]", "[/INST]", "<start_of_turn>", "＜/scene＞",
+    "\u202e", "<\u200b/scene>", "\x00", "\x1b[2J", "\ud800", "\U000e0041", "\u2028", "```", "->", "{}", '"',
+    "﹤|eot_id|﹥", "≮", "\u0338",
 )  # fmt: skip
 hostile = st.lists(st.sampled_from(ATTACKS) | st.text(max_size=8), max_size=12).map("".join)
 json_values = st.recursive(
@@ -63,7 +64,7 @@ def test_ordinary_words_of_any_language_pass() -> None:
         "把红色方块放进碗里",
         "mets le cube rouge dans le bol, s'il te plaît",
     ):
-        assert sanitise(text, limit=100) == text.replace("，", ",")  # noqa: RUF001
+        assert sanitise(text, limit=100) == text.replace("，", ",")
 
 
 def test_a_very_deep_or_endless_value_is_left_out() -> None:

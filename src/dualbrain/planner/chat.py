@@ -40,7 +40,7 @@ class Answer:
 
 def ask(url: str, body: dict[str, Any], *, key: str, timeout_s: float) -> Answer:
     """POST `body` to `url` and read a chat completion from the answer, all within `timeout_s`."""
-    reply = _post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
+    reply = post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
     if isinstance(reply, Answer):
         return reply
     status, data = reply
@@ -76,8 +76,11 @@ def strip_fence(text: str) -> tuple[str, bool]:
     return (fenced.group(1), True) if fenced else (text, False)
 
 
-def _post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | Answer:
-    """Status and body of the answer. At `timeout_s` the socket is shut, however slowly bytes may be dripping in."""
+def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, bytes] | Answer:
+    """Status and body of the answer, or why there is none.
+
+    At `timeout_s` the socket is shut, however slowly bytes may be dripping in.
+    """
     if timeout_s <= 0:
         return Answer("", protocol.TIMEOUT)
     connection, late, timer = _connection(url, timeout_s), Event(), None
@@ -87,7 +90,9 @@ def _post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, by
         timer.daemon = True
         timer.start()
         headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
-        connection.request("POST", urlsplit(url).path, data, headers)
+        address = urlsplit(url)
+        target = f"{address.path}?{address.query}" if address.query else address.path
+        connection.request("POST", target, data, headers)
         reply = connection.getresponse()
         status, body = reply.status, reply.read(LARGEST_ANSWER + 1)
     except TimeoutError:

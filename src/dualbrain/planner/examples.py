@@ -42,22 +42,6 @@ WORKED_EXAMPLES = (
     WorkedExample(
         scene=(
             "robot panda; holding nothing\n"
-            "orange_tin: object, neighbour_on_finger_axis none, neighbour_across low 3-6cm, near_edge no\n"
-            "white_tray: container\n"
-            "path orange_tin to white_tray: path_max_height low, path_blocked_direct yes, overhead none\n"
-            "person: crossing\n"
-            "places: shelf_front"
-        ),
-        instruction="put the orange can on the tray, gently please, then go home",
-        actions=(
-            _grasp("orange_tin", speed=0.1, wait="until_clear"),
-            _place("white_tray", speed=0.1, route="near_base", wait="until_clear"),
-            {"skill": "home", "params": {"speed": 0.2}},
-        ),
-    ),
-    WorkedExample(
-        scene=(
-            "robot panda; holding nothing\n"
             "grey_box: object, neighbour_on_finger_axis none, neighbour_across tall 3-6cm, near_edge no\n"
             "brown_jar: object, neighbour_on_finger_axis low 3-6cm, neighbour_across none, near_edge no\n"
             "white_tray: container\n"
@@ -72,6 +56,22 @@ WORKED_EXAMPLES = (
             _place("white_tray"),
             _grasp("brown_jar", finger_axis="across"),
             _place("shelf_front", clearance=0.2, route="near_base"),
+        ),
+    ),
+    WorkedExample(
+        scene=(
+            "robot panda; holding nothing\n"
+            "orange_tin: object, neighbour_on_finger_axis none, neighbour_across low 3-6cm, near_edge no\n"
+            "white_tray: container\n"
+            "path orange_tin to white_tray: path_max_height low, path_blocked_direct yes, overhead none\n"
+            "person: crossing\n"
+            "places: shelf_front"
+        ),
+        instruction="put the orange can on the tray, then go home",
+        actions=(
+            _grasp("orange_tin", wait="until_clear"),
+            _place("white_tray", route="near_base", wait="until_clear"),
+            {"skill": "home", "params": {"speed": 0.2}},
         ),
     ),
 )

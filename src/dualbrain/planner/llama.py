@@ -19,6 +19,7 @@ from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.planner import protocol
 from dualbrain.planner.chat import Answer, ask
 from dualbrain.planner.grammar import actions_grammar
+from dualbrain.planner.prefix import PrefixStore
 from dualbrain.planner.prompt import header, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -35,13 +36,15 @@ class LlamaConfig:
     """How the model runs.
 
     `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` in tokens (eight actions fit).
-    `timeout_s`: for one proposal, including the load of the model [s].
+    `timeout_s`: for one proposal, including the load of the model [s]. `prefixes`: an existing folder in which the
+    state after the unchanging part of the prompt is kept, so that the next process need not read it again.
     """
 
     threads: int = 1
     n_ctx: int = 6144
     max_tokens: int = 640
     timeout_s: float = 600.0
+    prefixes: Path | None = None
 
 
 class LlamaPlanner:
@@ -86,10 +89,16 @@ class LlamaPlanner:
         body = self._body(request)
         child = self._child = self._child or _Child(self._model, self._config)
         address, failure = child.address(self._config.timeout_s)
+        store = PrefixStore(self._config.prefixes, self._model, self._config.n_ctx, address, child.key)
+        if not (failure or child.asked):
+            store.restore(request)
         loaded = self._clock()
         left = self._config.timeout_s - (loaded - begun)
         answer = failure or ask(f"{address}/v1/chat/completions", body, key=child.key, timeout_s=left)
         answer = self._after(child, request, answer)
+        if answer.finish == protocol.STOP and not child.asked:
+            child.asked = True
+            store.save(request)
         timings = {"load": loaded - begun, **answer.figures, "total": self._clock() - begun}
         finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish
         return Proposal(answer.text, finish, self._name, CONSTRAINED_BY, timings)
@@ -125,6 +134,7 @@ class _Child:
 
     def __init__(self, model: Path, config: LlamaConfig) -> None:
         self.key = secrets.token_urlsafe(24)
+        self.asked = False
         self._address = ""
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_CHILD)],
@@ -134,6 +144,7 @@ class _Child:
             start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
         )
         settings = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads, "key": self.key}
+        settings["prefixes"] = f"{config.prefixes}/" if config.prefixes else ""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it died at once: `address` will say so
             self._process.stdin.write(json.dumps(settings).encode() + b"\n")

@@ -38,7 +38,9 @@ def _start(settings: dict[str, Any]) -> Any:
     params.cache_ram_mib = 256
     params.sampling.temp = 0.0
     params.use_jinja = True
-    params.warmup = params.ui = params.endpoint_slots = False
+    params.warmup = params.ui = False
+    params.endpoint_slots = bool(settings["prefixes"])
+    params.slot_save_path = settings["prefixes"]
     params.verbosity = 0
     return xllamacpp.Server(params)
 

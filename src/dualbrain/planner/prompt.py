@@ -56,11 +56,6 @@ somebody: answer with the single skill decline and a short reason. Otherwise nev
 
 Answer: {form}"""
 
-REMINDER = (
-    "Contract {contract_id} (across only beside a neighbour_on_finger_axis, near_base only if path_blocked_direct yes, "
-    "until_clear only if a person is there):"
-)
-
 FORM = (
     '{{"id":"c-0001","context":{{"robot":"{robot}","registry":"{registry}"}},'
     '"action_sequence":[{{"skill":"...","params":{{...}}}}]}}'
@@ -120,7 +115,7 @@ def _question(scene: str, instruction: str, contract_id: str) -> str:
     parts = [
         block("scene", scene, limit=SCENE_LIMIT, lines=SCENE_LINES),
         block("instruction", instruction, limit=INSTRUCTION_LIMIT),
-        REMINDER.format(contract_id=contract_id),
+        f"Contract {contract_id}:",
     ]
     return "\n".join(parts)
 

@@ -29,17 +29,19 @@ def open_planner(
     dialect: str = "openai",
     threads: int = 1,
     timeout_s: float = 600.0,
+    prefixes: Path | None = None,
 ) -> Planner:
     """The planner called `name_or_url`, ready to propose.
 
     A name of the manifest (its verified file in `cache`), the path of a GGUF file, or an address such as
-    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`. Raises `UnknownName`, `MissingPart`,
+    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`.
+    `prefixes`: see `LlamaConfig`. Raises `UnknownName`, `MissingPart`,
     `WrongHash`, `InvalidSetup`.
     """
     if "://" in name_or_url:
         url, model = urldefrag(name_or_url)
         return ServerPlanner(ServerConfig(url, model or "default", key, dialect, timeout_s=timeout_s))
-    config = LlamaConfig(threads=threads, timeout_s=timeout_s)
+    config = LlamaConfig(threads=threads, timeout_s=timeout_s, prefixes=prefixes)
     if name_or_url.endswith(".gguf"):
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
     if name_or_url not in planner_names():
