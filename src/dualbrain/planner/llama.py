@@ -15,6 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import jsonschema_rs
+
 from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.planner import protocol
 from dualbrain.planner.chat import Answer, ask
@@ -112,7 +114,8 @@ class LlamaPlanner:
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         try:
             grammar = actions_grammar(request.schema)
-        except (KeyError, TypeError) as error:
+            jsonschema_rs.validator_for(request.schema)
+        except (KeyError, TypeError, jsonschema_rs.ValidationError) as error:
             raise InvalidSetup("decoding schema", got=str(error), allowed="an object with action_sequence") from error
         messages = [*render(request), {"role": "assistant", "content": header(request)}]
         limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": True}
@@ -124,7 +127,7 @@ class LlamaPlanner:
             answer = Answer("", protocol.CRASHED)
         if answer.finish in {protocol.TIMEOUT, protocol.CRASHED} or not child.ready:
             self.close()
-        elif answer.finish == protocol.STOP and not _obeys(answer.text, header(request)):
+        elif answer.finish == protocol.STOP and not _obeys(answer.text, request.schema):
             return Answer("", protocol.ERROR, "the grammar was not applied", answer.figures)
         return answer
 
@@ -193,9 +196,9 @@ class _Child:
         self._process.stdout.close()
 
 
-def _obeys(text: str, beginning: str) -> bool:
-    """Whether `text` is one line of JSON that begins as it was told to (a cheap sign that the grammar was in force)."""
+def _obeys(text: str, schema: dict[str, Any]) -> bool:
+    """Whether `text` is what the grammar of `schema` admits; else the server has dropped the grammar."""
     try:
-        return text.startswith(beginning) and isinstance(json.loads(text), dict)
+        return jsonschema_rs.validator_for(schema).is_valid(json.loads(text))
     except (ValueError, RecursionError):
         return False
