@@ -1,4 +1,4 @@
-"""Draws the Panda's balls over its collision meshes: `python docs/bodies/draw_panda.py docs/bodies/panda_spheres.png`."""
+"""Draws the Panda's balls over its meshes: `python docs/bodies/draw_panda.py docs/bodies/panda_spheres.png`."""
 
 import sys
 
@@ -11,12 +11,12 @@ from dualbrain.embodiment.meshes import collision_mesh
 from dualbrain.embodiment.self_pairs import chain_frames, placed_centres
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402  # the backend is chosen first
+from matplotlib import pyplot as plt  # the backend is chosen first
 
 PANDA = load_body("panda")
 COLOURS = {"arm": "#4878a8", "hand": "#d1813a", "fingers": "#3a9a5c"}
 VIEWS = (
-    ("the arm at home", lambda link: True, (0.28, 0.0, 0.42), 0.46, (14, -68)),
+    ("the arm at home", lambda link: True, (0.24, 0.0, 0.40), 0.47, (14, -68)),
     ("hand and fingers, 20 mm open", lambda link: link.group != "arm", None, 0.105, (8, -50)),
     ("fingers from the side", lambda link: link.group == "fingers", None, 0.045, (4, -86)),
 )
@@ -35,32 +35,34 @@ def draw(axes, wanted, opening):
     a, b = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 21))
     unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
     points = []
-    for link in filter(wanted, PANDA.links):
+    links = list(filter(wanted, PANDA.links))
+    for link in links:
         triangles = placed_mesh(link, turns, origins, opening)
         points.append(triangles.reshape(-1, 3))
-        axes.add_collection3d(Poly3DCollection(triangles, facecolor="#555555", edgecolor="#222222", lw=0.15))
+        axes.add_collection3d(Poly3DCollection(triangles, facecolor="#777777", edgecolor="#222222", lw=0.15))
+    for link in links:
         own = [sphere for sphere in PANDA.spheres if sphere.link == link.name]
         centres = placed_centres(link, np.array([sphere.centre for sphere in own]), turns, origins, opening)[0]
         for centre, sphere in zip(centres, own, strict=True):
             surface = centre[:, None, None] + sphere.radius * unit
-            axes.plot_surface(*surface, color=COLOURS[link.group], alpha=0.16, lw=0, shade=True)
+            axes.plot_surface(*surface, color=COLOURS[link.group], alpha=0.13, lw=0, shade=True)
     return np.concatenate(points)
 
 
 def main(path):
     """Three views side by side."""
-    figure = plt.figure(figsize=(13, 5), dpi=80)
+    figure = plt.figure(figsize=(13, 5.6), dpi=80)
     for i, (title, wanted, centre, reach, (elevation, azimuth)) in enumerate(VIEWS, start=1):
-        axes = figure.add_subplot(1, 3, i, projection="3d", proj_type="ortho")
+        axes = figure.add_subplot(1, 3, i, projection="3d", proj_type="ortho", computed_zorder=False)
         points = draw(axes, wanted, 0.02)
         middle = np.array(centre) if centre else 0.5 * (points.min(axis=0) + points.max(axis=0))
         for limit, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
             limit(value - reach, value + reach)
-        axes.set_box_aspect((1, 1, 1), zoom=1.5)
+        axes.set_box_aspect((1, 1, 1), zoom=1.6)
         axes.view_init(elevation, azimuth)
         axes.set_axis_off()
-        axes.set_title(title, fontsize=10, y=0.98)
-    figure.subplots_adjust(0, 0, 1, 0.95, 0, 0)
+        axes.set_title(title, fontsize=10, y=1.02)
+    figure.subplots_adjust(0, 0, 1, 0.9, 0, 0)
     figure.savefig(path)
 
 

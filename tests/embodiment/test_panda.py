@@ -74,3 +74,7 @@ def test_the_gripper_opens_as_far_as_the_asset_says():
     limit = next(j for j in urdf().iter("joint") if j.get("name") == "panda_finger_joint1").find("limit")
     assert PANDA.gripper.opening.value == float(limit.get("upper"))
     assert 0 < PANDA.gripper.force_min.value < PANDA.gripper.force.value <= 70.0
+
+
+def test_accelerations_are_the_published_ones():
+    assert [joint.acceleration.value for joint in PANDA.joints] == [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
