@@ -64,9 +64,9 @@ def _version(name: str) -> str:
 
 
 def _kernel() -> list[Finding]:
-    from dualbrain.safety.native import kernel_build, kernel_hash  # noqa: PLC0415
+    from dualbrain.safety.native import kernel_hash  # noqa: PLC0415
 
-    return [Finding("kernel", True, f"{kernel_build()}, hash {kernel_hash()}")]
+    return [Finding("kernel", True, f"float32, C99, source hash {kernel_hash()}")]
 
 
 def _latency() -> list[Finding]:

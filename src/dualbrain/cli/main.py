@@ -1,4 +1,4 @@
-"""The command line: one line per command here, one file per command beside it, nothing heavy imported before it is needed."""
+"""The command line: one line per command here, one file per command beside it; heavy rooms are imported late."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ app = App(
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
 
-app.command("dualbrain.cli.run:run", name="run")
-app.command("dualbrain.cli.demo:demo", name="demo")
-app.command("dualbrain.cli.schema:schema", name="schema")
-app.command("dualbrain.cli.check:check", name="check")
-app.command("dualbrain.cli.replay:replay", name="replay")
-app.command("dualbrain.cli.doctor:doctor", name="doctor")
-models.command("dualbrain.cli.models:list_models", name="list")
-models.command("dualbrain.cli.models:fetch", name="fetch")
+app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
+app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one command.")
+app.command("dualbrain.cli.schema:schema", name="schema", help="Print a robot's contract schema.")
+app.command("dualbrain.cli.check:check", name="check", help="What the gate says of a contract file.")
+app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
+app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
+models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
+models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 
 
 def main() -> None:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import msgspec
 
+from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import short_form
 from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
@@ -18,7 +20,7 @@ from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.summary import summarise
@@ -43,8 +45,9 @@ class Errand:
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """What only a simulation has: the judgement on truth after the episode, and the versions of what ran."""
+    """What only a simulation has: it hears of the accepted contract, judges on truth at the end, knows the versions."""
 
+    begin: Callable[[Contract], None]
     judge: Callable[[], Judgement | None]
     versions: dict[str, str]
 
@@ -71,7 +74,7 @@ def run_episode(
         asked = layer.state.stamp
         proposal = thinking.wait_for(layer, lambda ask=request: planner.propose(ask))
         stamp = Stamp(shot, asked, asked + CONTRACT_LIFE, PLANNER, scene.version)
-        verdict, gate_s = thinking.timed(lambda text=proposal: _check(gate, text, names, layer.state.stamp, stamp))
+        verdict, gate_s = thinking.timed(lambda text=proposal, stamp=stamp: _check(gate, text, names, layer.state.stamp, stamp))
         attempts.append(Attempt(proposal, verdict, gate_s))
         layer.log.attempt(layer.state.stamp, attempts[-1])
         layer.log.note(layer.state.stamp, "verdict", _verdict_words(shot, verdict))
@@ -79,6 +82,8 @@ def run_episode(
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{shot + 1:04d}")
     contract = verdict.contract if isinstance(verdict, Accepted) else None
+    if contract:
+        witness.begin(contract)
     outcome = layer.run(contract) if contract else Outcome("rejected", _verdict_words(len(attempts), verdict))
     episode = Episode(
         errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary, recall,
@@ -88,7 +93,7 @@ def run_episode(
     return episode, memory.store(episode, posture, now=now)
 
 
-def _check(gate: Gate, proposal: Proposal, names: object, now: float, stamp: Stamp) -> Verdict:
+def _check(gate: Gate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
     """The gate's word on a proposal; an answer that was cut, timed out or crashed has no contract in it."""
     if proposal.finish_reason != STOP:
         hint = "the answer is not whole, so it is no contract"
@@ -116,6 +121,3 @@ def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
             timings[f"planner_{part}"] = timings.get(f"planner_{part}", 0.0) + seconds
     return timings
 
-
-EMPTY = Recall()
-"""What an empty memory recalls."""

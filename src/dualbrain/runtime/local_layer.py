@@ -18,6 +18,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
 from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.steady import Steady
 from dualbrain.safety.filter import Filtered, SafetyFilter
 from dualbrain.safety.held import cover
 from dualbrain.safety.obstacles import from_scene
@@ -33,6 +34,8 @@ INFEASIBLE_FOR = 0.05
 """An infeasible filter brakes and clears by itself for this long [s]; then the contract is taken over."""
 BROKEN_FOR = 0.05
 """A stopped or faulty filter for this long [s] ends the contract."""
+LET_GO = 0.5
+"""For this long after it was let go a thing is believed to fall and roll [s]."""
 IDLE = -1
 """Action index of ticks outside a contract."""
 
@@ -93,7 +96,9 @@ class LocalLayer:
         self._bad = 0
         self._skill = ""
         self.state = robot.read()
-        self.scene = surroundings.look()
+        self._steady = Steady()
+        self._let_go: tuple[str, float] = ("", -LET_GO)
+        self.scene = self._steady.update(surroundings.look())
         self._observe()
         self._sense()
 
@@ -186,10 +191,16 @@ class LocalLayer:
     def _sense(self) -> None:
         self.state = self.robot.read()
         if self._ticks % self.config.look_every == 0:
-            self.scene = self.surroundings.look()
+            self.scene = self._steady.update(self.surroundings.look(), self._unsteady())
             self.log.scene(self.scene)
             self._observe()
         self.limb.sense(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
+
+    def _unsteady(self) -> tuple[str, ...]:
+        """What moves with the hand, or has just left it."""
+        name, when = self._let_go
+        fallen = (name,) if self.state.stamp - when < LET_GO else ()
+        return (self._holding.name, *fallen) if self._holding else fallen
 
     def _enter(self, nominal: Nominal) -> None:
         """A new phase: its contact permits replace the old ones."""
@@ -205,6 +216,8 @@ class LocalLayer:
 
     def _take(self, holding: Holding | None) -> None:
         """Attach what was grasped as part of the body, at the pose perceived at the grasp; or detach it."""
+        if self._holding and holding is None:
+            self._let_go = (self._holding.name, self.state.stamp)
         self._holding = holding
         if holding is None:
             self.log.call(self.state.stamp, "detach")

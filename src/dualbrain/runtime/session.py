@@ -35,7 +35,7 @@ from dualbrain.runtime.trace import Event, Trace
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.world.catalogue import open_scene
-from dualbrain.world.perception import Perception
+from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import save_scene
 from dualbrain.world.task import goal_of
@@ -58,6 +58,7 @@ class RunConfig:
     guard: bool = True
     seed: int = 0
     shots: int = 2
+    goal: str = ""
     measured: bool = False
     visuals: bool = True
 
@@ -118,24 +119,27 @@ class Session:
         self.ledger = ledger
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),)))
         self.plant = Plant(self.spec, self.body, visuals=config.visuals)
-        perception = Perception(self.spec, rng=np.random.default_rng([config.seed, 1]))
-        self.world = SimulatedWorld(self.plant, perception, goal=goal_of(self.spec), pace=self.times.pace)
+        perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
+        goal = goal_of(config.goal, self.spec) if config.goal else None
+        self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.times.pace)
         self.interrupted: tuple[InterruptedRun, ...] = ()
 
     def _open_planner(self, environ: Mapping[str, str]) -> Planner:
         if self.config.contract:
             return GivenContract(f"file {self.config.contract.name}", self.config.contract.read_bytes())
-        return open_planner(self.config.planner, self.config.cache, environ=environ)
+        return open_planner(self.config.planner, self.config.cache, key=environ.get("OPENAI_API_KEY", ""))
 
     def run(self, onlooker: Onlooker) -> Finished:
         """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
         config, out = self.config, self.config.out
-        out.joinpath("config.json").write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        out.joinpath("config.json").write_bytes(msgspec.json.format(msgspec.json.encode(config, enc_hook=str), indent=2))
         save_scene(self.spec, out / "scene.json")
         self.interrupted = self.ledger.start_run(out.name, {"instruction": config.instruction}, now=self.times.now())
         trace = Trace(self.body.n)
         with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
             log = FlightLog(trace, recorder, onlooker.event)
+            about = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
+            recorder.episode(0.0, {**about, "versions": self._versions()})
             try:
                 episode, stored = self._episode(log, onlooker)
             finally:
@@ -155,7 +159,7 @@ class Session:
             config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
         )
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else Thinking.planning_time)
-        witness = Witness(world.judgement, self._versions())
+        witness = Witness(world.begin, world.judgement, self._versions())
         return run_episode(errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now())
 
     def _versions(self) -> dict[str, str]:

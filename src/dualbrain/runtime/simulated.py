@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Judgement, Scene
-from dualbrain.runtime.steady import Steady
 from dualbrain.world.monitor import Monitor
 from dualbrain.world.perception import Perception
 from dualbrain.world.plant import Plant
@@ -35,14 +34,13 @@ class SimulatedWorld:
         """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people."""
         self.plant, self.perception = plant, perception
         self.monitor = Monitor(plant)
-        self._steady = Steady()
         self._referee = Referee(plant, goal) if goal else None
         self._pace = pace
         self._ticks = 0
 
     def look(self) -> Scene:
-        """The scene as perceived now, things at rest averaged over looks."""
-        scene = self._steady.update(self.perception.look(self.plant))
+        """The scene as perceived now."""
+        scene = self.perception.look(self.plant)
         self.monitor.perceive(thing.name for thing in scene.objects)
         return scene
 

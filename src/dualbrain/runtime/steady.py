@@ -6,6 +6,8 @@ convex), so the bound handed to the filter stays true. A thing that is seen to h
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +27,14 @@ class Steady:
         """Nothing seen yet."""
         self._seen: dict[str, tuple[float, NDArray[np.float64]]] = {}
 
-    def update(self, scene: Scene) -> Scene:
-        """`scene` with the positions of things at rest averaged."""
-        return msgspec.structs.replace(scene, objects=tuple(self._average(thing) for thing in scene.objects))
+    def update(self, scene: Scene, unsteady: Collection[str] = ()) -> Scene:
+        """`scene` with the positions of things at rest averaged; those in `unsteady` (in the hand, just let go) as seen."""
+        for name in unsteady:
+            self._seen.pop(name, None)
+        return msgspec.structs.replace(
+            scene,
+            objects=tuple(thing if thing.name in unsteady else self._average(thing) for thing in scene.objects),
+        )
 
     def _average(self, thing: SceneObject) -> SceneObject:
         if thing.role in ("person", "support") or thing.error == 0.0:

@@ -30,8 +30,7 @@ def threat(scene: Scene, spot: Array, lowest: float, horizon: float, reach: floa
         for thing in scene.objects
         if thing.role == "person" and _sweeps(thing, spot, horizon, reach, now)
     ]
-    height = max(tops, default=0.0)
-    return height if lowest < height else None
+    return max(tops) if tops and lowest < max(tops) else None
 
 
 def _sweeps(person: SceneObject, spot: Array, horizon: float, reach: float, now: float) -> bool:

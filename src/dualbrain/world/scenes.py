@@ -286,9 +286,9 @@ def _sweep(rng: np.random.Generator) -> Mover:
         rng.uniform(0.12, 0.18),
         rng.uniform(2.0, 4.0),
     )
-    side = 0.50 if rng.random() < 0.5 else -0.50
+    side = 0.60 if rng.random() < 0.5 else -0.60
     x = float(tip) + 0.25 + 0.045
-    cycle = 2.0 * (float(pause) + 1.0 / float(speed))
+    cycle = 2.0 * (float(pause) + 1.2 / float(speed))
     start, end = (x, side, float(z)), (x, -side, float(z))
     return Mover(start, end, float(speed), float(pause), float(rng.uniform(0.0, cycle)))
 
