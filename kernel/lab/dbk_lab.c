@@ -26,22 +26,8 @@ static void choose(const dbk_model *model, const dbk_ctx *ctx, const dbk_adversa
   }
 }
 
-static void move_truth(dbk_scene *scene, const dbk_adversary *a, double time) {
-  const double phase = time / a->swing;
-  const double lap = phase - 4.0 * (double)(int64_t)(phase / 4.0); /* out, back, out the other way, back */
-  const double tri = lap < 1.0 ? lap : (lap < 3.0 ? 2.0 - lap : lap - 4.0);
-  const double rate = (lap < 1.0 || lap >= 3.0) ? 1.0 : -1.0;
-  (void)tri;
-  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
-    for (int32_t e = 0; e < 3; ++e) {
-      const double v = rate * a->true_velocity[3 * o + e];
-      scene->obstacle[o].position[e] += (dbk_real)(v * 0.001);
-    }
-  }
-}
-
-void dbk_closed_loop(const dbk_model *model, dbk_scene *scene, dbk_ctx *ctx, const dbk_adversary *adversary, double *q,
-                     double *q_log, double *u_log, int8_t *status_log, double *obstacle_log, dbk_tally *tally) {
+void dbk_closed_loop(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_adversary *adversary,
+                     double *q, double *q_log, double *u_log, int8_t *status_log, dbk_tally *tally) {
   uint64_t state = adversary->seed;
   dbk_in in = {{0}, {0}, {0}, (dbk_real)0, (dbk_real)0, (dbk_real)0};
   dbk_out out;
@@ -60,14 +46,6 @@ void dbk_closed_loop(const dbk_model *model, dbk_scene *scene, dbk_ctx *ctx, con
       u_log[(int64_t)t * model->n + k] = (double)out.u[k];
     }
     status_log[t] = (int8_t)status;
-    if (adversary->truth_moves) { move_truth(scene, adversary, 0.001 * (double)t); }
-    if (obstacle_log) {
-      for (int32_t o = 0; o < scene->n_obstacles; ++o) {
-        for (int32_t e = 0; e < 3; ++e) {
-          obstacle_log[((int64_t)t * scene->n_obstacles + o) * 3 + e] = (double)scene->obstacle[o].position[e];
-        }
-      }
-    }
   }
 }
 

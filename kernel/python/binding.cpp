@@ -272,19 +272,16 @@ struct Kernel {
   }
 
   nb::dict closed_loop(const Out &q, uint64_t seed, int hold, double toward, const Out &q_log, const Out &u_log,
-                       const Bytes &status_log, const Array &true_velocity, double swing, const Out &obstacle_log) {
+                       const Bytes &status_log) {
     dbk_tally tally{};
     tally.h_min = 1e9;
     const size_t steps = status_log.size();
-    expect(q.size() == n && q_log.size() == steps * n && u_log.size() == steps * n, "log sizes");
-    const bool moves = true_velocity.size() > 0;
-    const size_t o = static_cast<size_t>(scene->n_obstacles);
-    expect(!moves || (true_velocity.size() == 3 * o && obstacle_log.size() == steps * o * 3), "obstacle log");
-    const dbk_adversary a{seed, int(steps), hold, toward, moves, true_velocity.data(), swing};
+    expect(q.size() == n && q_log.size() == steps * n && u_log.size() == steps * n && hold > 0, "log sizes");
+    const dbk_adversary a{seed, int(steps), hold, toward};
     {
       const nb::gil_scoped_release release;
       dbk_closed_loop(model.get(), scene.get(), ctx.get(), &a, q.data(), q_log.data(), u_log.data(), status_log.data(),
-                      moves ? obstacle_log.data() : nullptr, &tally);
+                      &tally);
     }
     nb::dict d;
     const char *names[5] = {"safe", "modified", "relaxed", "stopped", "fault"};

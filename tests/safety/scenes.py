@@ -9,8 +9,6 @@ from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
 
 from . import oracle
 
-NO_DOUBLES = np.empty(0)
-
 
 def quaternion(rng):
     q = rng.normal(size=4)
@@ -45,21 +43,16 @@ class Run:
     u: np.ndarray
     status: np.ndarray
     tally: dict
-    shifts: np.ndarray | None = None
 
 
-def closed_loop(safety: SafetyFilter, q0, steps, seed, *, hold=150, toward=0.7, true_velocity=None, swing=0.5):
+def closed_loop(safety: SafetyFilter, q0, steps, seed, *, hold=150, toward=0.7):
     """An adversary drives `safety` from rest at q0; q integrates exactly in float64."""
     n = safety.body.n
     safety.reset()
     q, q_log, u_log = np.array(q0, float), np.empty((steps, n)), np.empty((steps, n))
     status = np.empty(steps, np.int8)
-    moves = true_velocity is not None
-    k = len(safety._obstacles)
-    log = np.empty((steps, k, 3)) if moves else NO_DOUBLES
-    velocity = np.ascontiguousarray(true_velocity, float) if moves else NO_DOUBLES
-    tally = safety._kernel.closed_loop(q, seed, hold, toward, q_log, u_log, status, velocity, swing, log)
-    return Run(q_log, u_log, status, tally, log if moves else None)
+    tally = safety._kernel.closed_loop(q, seed, hold, toward, q_log, u_log, status)
+    return Run(q_log, u_log, status, tally)
 
 
 def config(**changes):

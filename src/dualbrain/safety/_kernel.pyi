@@ -50,9 +50,6 @@ class Kernel:
         q_log: Array,
         u_log: Array,
         status_log: NDArray[np.int8],
-        true_velocity: Array,
-        swing: float,
-        obstacle_log: Array,
     ) -> dict[str, float]: ...
     def time_steps(self, q: Array, u_nom: Array, cold: bool) -> float: ...
 

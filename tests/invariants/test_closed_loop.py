@@ -1,0 +1,145 @@
+"""Forward invariance under an adversary: among static obstacles no h falls below zero, judged in float64 by numpy.
+
+The adversary drives at full speed at the nearest row (or bang-bang); the loop integrates ẏ = u exactly. Each negative
+control changes one named parameter and must fail: the promise has teeth.
+"""
+
+import sys
+
+import numpy as np
+import pytest
+
+from dualbrain.records import HalfSpace, Pose, Sphere
+from dualbrain.safety.filter import Obstacle, SafetyFilter
+from tests.safety import oracle, scenes
+from tests.safety.conftest import at, panda, small  # noqa: F401
+
+
+def least_h(body, run, things):
+    """(h, step, which) of the worst moment, in float64: obstacles and own links [m], joint limits [rad]."""
+    parts = {
+        "obstacle": oracle.h_obstacles(body, run.q, things),
+        "self": oracle.h_self(body, run.q),
+        "joint": oracle.h_joints(body, run.q),
+    }
+    which = min(parts, key=lambda name: parts[name].min())
+    return float(parts[which].min()), int(parts[which].argmin()), which
+
+
+def loop(body, seed, steps, *, hold=None, things=8, **changes):
+    """The adversary holds its mind for 0.15, 0.4 or 1 s, so that full speed is reached."""
+    scene = scenes.scene(body, np.random.default_rng(seed), things)
+    safety = SafetyFilter(body, scenes.config(**changes))
+    safety.observe(scene, 0.0)
+    hold = hold or (150, 400, 1000)[seed % 3]
+    return scenes.closed_loop(safety, body.home, steps, seed, hold=hold, toward=0.9), scene
+
+
+def holds(body, seed, steps):
+    run, things = loop(body, seed, steps)
+    h, step, which = least_h(body, run, things)
+    assert h >= 0.0, f"seed {seed}: {which} h = {h * 1e3:.4f} mm at step {step}"
+    assert run.tally["stopped"] == run.tally["fault"] == 0
+    assert (
+        run.tally["relaxed"] <= 0.02 * steps
+    )  # curvature at full speed of all joints can outrun the acceleration limits
+    change = np.abs(np.diff(run.u, axis=0, prepend=0.0)).max(axis=0)
+    assert np.all(change <= np.array([j.acceleration.value for j in body.joints]) * body.period * (1 + 1e-5) + 1e-7)
+    return run
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_h_below_zero(small, seed):  # noqa: F811
+    holds(small, seed, 5000)
+
+
+def test_no_h_below_zero_with_every_sphere(panda):  # noqa: F811
+    holds(panda, 50, 3000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1000, 1100))
+def test_no_h_below_zero_in_a_million_steps(panda, seed):  # noqa: F811
+    holds(panda, seed, 10_000)
+
+
+# --- negative controls: one named parameter each ------------------------------------------------------------------
+
+
+def say(control, h, step, which, seed):
+    """The failing step and its depth, on the test's output (pytest -rP)."""
+    sys.stdout.write(f"{control}: {which} h = {h * 1e3:.3f} mm at step {step} of seed {seed}\n")
+
+
+def test_control_alpha_10_under_acceleration_limits_fails(small):  # noqa: F811
+    """α is 2.9 times what the acceleration limits can follow."""
+    run, things = loop(small, 1, 8000, hold=1000, things=14, alpha=10.0)
+    h, step, which = least_h(small, run, things)
+    say("alpha 10", h, step, which, 1)
+    assert h < -1e-3
+    run, things = loop(small, 1, 8000, hold=1000, things=14)
+    assert least_h(small, run, things)[0] >= 0.0
+
+
+def test_control_without_margin_fails(small):  # noqa: F811
+    """Things are seen 5 mm away from where they are; the obstacles' margin is that bound, or nothing."""
+    for seed in range(3):
+        assert seen_wrongly(small, seed, 0.005)[0] >= 0.0
+    worst = min((*seen_wrongly(small, seed, 0.0), seed) for seed in range(3))
+    say("margin 0", *worst)
+    assert worst[0] < -1e-3
+
+
+def seen_wrongly(body, seed, margin):
+    rng = np.random.default_rng(seed)
+    truth, seen = scenes.scene(body, rng, 14, gap=0.03), []
+    for thing in truth:
+        offset = rng.normal(size=3)
+        place = np.array(thing.pose.position) + 0.005 * offset / np.linalg.norm(offset)
+        pose = Pose(tuple(place), thing.pose.quaternion)
+        seen.append(Obstacle(thing.name, thing.shape, pose, margin=margin))
+    safety = SafetyFilter(body, scenes.config())
+    safety.observe(seen, 0.0)
+    run = scenes.closed_loop(safety, body.home, 5000, seed, hold=1000, toward=0.9)
+    return least_h(body, run, truth)
+
+
+def test_control_without_the_obstacles_velocity_fails(small):  # noqa: F811
+    """A wall comes in at 6 cm/s while the arm pushes against it; the filter is told so, or that it stands still."""
+    assert pressed(small, 1.0)[0] >= 0.0
+    h, step = pressed(small, 0.0)
+    say("no n'v_o", h, step, "wall", "none")
+    assert h < -1e-3
+
+
+def pressed(body, told, steps=2500):
+    """Worst (h, step) in float64; the wall's face looks along -x and starts at x = 0.65 m."""
+    safety, state = SafetyFilter(body, scenes.config()), at.__wrapped__()
+    q, log = np.array(body.home), np.empty((steps, body.n))
+    turn = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
+    for k in range(steps):
+        now, x = k * 1e-3, 0.65 - 0.06 * k * 1e-3
+        wall = Obstacle("wall", HalfSpace(), Pose((x, 0.0, 0.0), turn), (-0.06 * told, 0.0, 0.0), static=False)
+        safety.observe([wall], now)
+        push = np.linalg.pinv(safety.tool(q).jacobian) @ np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+        q = q + 1e-3 * safety.filter(state(q, t=now), push, now).u
+        log[k] = q
+    start = Obstacle("wall", HalfSpace(), Pose((0.65, 0.0, 0.0), turn))
+    shifts = np.zeros((steps, 1, 3))
+    shifts[:, 0, 0] = -0.06e-3 * np.arange(1, steps + 1)
+    h = oracle.h_obstacles(body, log, [start], opening=0.04, shifts=shifts)
+    return float(h.min()), int(h.argmin())
+
+
+def test_a_ball_that_starts_inside_is_left_monotonically(small):  # noqa: F811
+    things = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
+    safety = SafetyFilter(small, scenes.config())
+    safety.observe(things, 0.0)
+    q, h = np.array(small.home), []
+    state = at.__wrapped__()
+    for _ in range(2500):
+        answer = safety.filter(state(q), np.zeros(7), 0.0)
+        h.append(answer.h_min)
+        q = q + 1e-3 * answer.u
+    assert np.all(np.diff(h) > -1e-6)
+    assert h[-1] > -1e-3
