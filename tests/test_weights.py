@@ -24,7 +24,7 @@ class Index:
         self.asked.append(requirement)
         if requirement in self.broken:
             raise ConnectionError("the network is down")
-        number = int(requirement.split("==")[0].removeprefix("tiny-part"))
+        number = int(requirement.split("==", maxsplit=1)[0].removeprefix("tiny-part"))
         wheel = folder / f"part{number}.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
             archive.writestr("tiny/__init__.py", "raise SystemExit('a wheel was imported')")
