@@ -54,11 +54,8 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_fk(model, y, &frames);
   dbk_spheres(model, scene, &frames, in->opening, &ctx->next);
   for (int32_t c = 0; c < ctx->visits.count; ++c) {
-    const int32_t link = ctx->visits.link[c], other = ctx->visits.other[c];
-    const int32_t held = link == model->n_links;
-    const int32_t first = held ? model->n_spheres : model->link_first[link];
-    const int32_t last = held ? model->n_spheres + scene->n_held : model->link_first[link + 1];
-    const dbk_real held_error = held ? scene->held_error : (dbk_real)0;
+    const int32_t first = ctx->visits.first[c], count = ctx->visits.spheres[c], other = ctx->visits.other[c];
+    const dbk_real held_error = first >= model->n_spheres ? scene->held_error : (dbk_real)0;
     moment m;
     if (other >= 0) {
       const dbk_obstacle *o = &scene->obstacle[other];
@@ -70,12 +67,12 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
       }
       m.margin_now = o->margin + o->velocity_error * in->scene_age + model->rounding + held_error;
       m.margin_next = m.margin_now + o->velocity_error * model->period;
-      good &= kept(&ctx->cloud, &ctx->next, &m, first, last - first);
+      good &= kept(&ctx->cloud, &ctx->next, &m, first, count);
     } else {
       m.margin_now = m.margin_next = model->self_margin + model->rounding + held_error;
       ball(&ctx->cloud, -1 - other, &m.now);
       ball(&ctx->next, -1 - other, &m.next);
-      good &= kept(&ctx->cloud, &ctx->next, &m, first, last - first);
+      good &= kept(&ctx->cloud, &ctx->next, &m, first, count);
     }
   }
   return good;

@@ -9,6 +9,7 @@ void dbk_prepare(dbk_model *model) {
     const int32_t frame = model->link_frame[l];
     for (int32_t s = model->link_first[l]; s < model->link_first[l + 1]; ++s) {
       const dbk_real slide = (dbk_real)0.1 * length(model->slide_x[s], model->slide_y[s], model->slide_z[s]);
+      model->sphere_frame[s] = frame;
       dbk_real arm = length(model->x[s], model->y[s], model->z[s]) + slide; /* an opening is below 0.1 m */
       for (int32_t k = DBK_MAX_DOF - 1; k >= 0; --k) {
         model->reach[k][s] = (dbk_real)0;
@@ -19,6 +20,7 @@ void dbk_prepare(dbk_model *model) {
       }
     }
   }
+  for (int32_t s = model->n_spheres; s < model->n_spheres + DBK_MAX_HELD; ++s) { model->sphere_frame[s] = model->n; }
   /* a held object: lever arms from the last frame; its own extent (up to 0.5 m from the tool) is added */
   dbk_real arm = (dbk_real)0.5 + length(model->tool_offset[0], model->tool_offset[1], model->tool_offset[2]);
   for (int32_t k = DBK_MAX_DOF - 1; k >= 0; --k) {

@@ -79,31 +79,31 @@ static void weigh(const dbk_cloud *cloud, const dbk_motion *motion, const terms 
 }
 
 /* what could reach h = 0 within one period is looked at again by the certificate */
-static void remember(dbk_ctx *ctx, int32_t link, int32_t other) {
+static void remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other) {
   const int32_t at = ctx->visits.count;
   if (at >= DBK_MAX_VISITS) {
     ctx->rows.overflow = 1;
     return;
   }
-  ctx->visits.link[at] = (int16_t)link;
+  ctx->visits.first[at] = (int16_t)first;
+  ctx->visits.spheres[at] = (int16_t)count;
   ctx->visits.other[at] = (int16_t)other;
   ctx->visits.count = at + 1;
 }
 
-/* spheres of one link against one obstacle; returns the smallest h among them */
+/* a run of spheres against one obstacle; returns the smallest h among them */
 static dbk_real against_obstacle(const dbk_model *model, dbk_ctx *ctx, const dbk_obstacle *shape, const terms *t,
-                             int32_t link, int32_t first, int32_t count, int32_t index) {
+                                 int32_t first, int32_t count, int32_t index) {
   static const dbk_real still[6] = {0};
   const dbk_cloud *cloud = &ctx->cloud;
   visit w;
   dbk_distance(shape, count, cloud->x + first, cloud->y + first, cloud->z + first, w.h, w.nx, w.ny, w.nz);
   weigh(cloud, &ctx->motion, t, first, count, still, (dbk_real)0, &w);
-  const int32_t frame = link == model->n_links ? model->n : model->link_frame[link];
   dbk_real least = w.h[0];
   for (int32_t s = 0; s < count; ++s) {
     least = dbk_min(least, w.h[s]);
     if (w.room[s] < (dbk_real)0 || (!t->permitted && w.h[s] < DBK_CULL_FLOOR)) {
-      push(&ctx->rows, &w, s, cloud, t, DBK_ROW_OBSTACLE, first + s, index, 0, frame);
+      push(&ctx->rows, &w, s, cloud, t, DBK_ROW_OBSTACLE, first + s, index, 0, model->sphere_frame[first + s]);
     }
   }
   return least;
@@ -117,44 +117,54 @@ static int32_t last_of(const dbk_model *model, const dbk_scene *scene, int32_t l
   return link == model->n_links ? model->n_spheres + scene->n_held : model->link_first[link + 1];
 }
 
+/* does this link matter for an obstacle whose surface is `gap` from the middle of the link? Frame 0 is bolted down. */
+static int32_t matters(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, int32_t link, dbk_real gap,
+                       dbk_real speed) {
+  if (first_of(model, link) >= last_of(model, scene, link)) { return 0; }
+  if (link < model->n_links && model->link_frame[link] == 0) { return 0; }
+  const dbk_real h = gap - ctx->motion.bound_r[link]; /* no sphere of the link is nearer */
+  return !(h > DBK_CULL_FLOOR && model->alpha * h >= speed + ctx->motion.speed[link] &&
+           h + model->sampling >= ctx->h_min);
+}
+
+/* one obstacle against all links; neighbouring links with the same permit are taken as one run of spheres */
 static void obstacle_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
-                          int32_t known_only) {
+                          int32_t index) {
   dbk_real gap[DBK_ALL_LINKS], nx[DBK_ALL_LINKS], ny[DBK_ALL_LINKS], nz[DBK_ALL_LINKS];
   const int32_t n_links = model->n_links + (scene->n_held > 0 ? 1 : 0);
-  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
-    dbk_obstacle shape = scene->obstacle[o];
-    if (known_only && !(shape.flags & DBK_KNOWN)) { continue; }
-    const int32_t moving = !(shape.flags & DBK_STATIC);
-    for (int32_t e = 0; e < 3; ++e) { shape.position[e] += shape.velocity[e] * age; }
-    const dbk_real speed = dbk_sqrt(shape.velocity[0] * shape.velocity[0] + shape.velocity[1] * shape.velocity[1] +
-                                    shape.velocity[2] * shape.velocity[2]) + shape.velocity_error;
-    const dbk_real margin = shape.margin + shape.velocity_error * age + model->sampling + model->rounding + extra;
-    dbk_distance(&shape, n_links, ctx->motion.bound_x, ctx->motion.bound_y, ctx->motion.bound_z, gap, nx, ny, nz);
-    for (int32_t l = 0; l < n_links; ++l) {
-      const int32_t held = l == model->n_links;
-      const int32_t first = first_of(model, l);
-      const int32_t count = last_of(model, scene, l) - first;
-      if (count <= 0 || (!held && model->link_frame[l] == 0)) { continue; } /* frame 0 is bolted to the world */
-      const dbk_real permit = scene->permit[l][o];
-      const int32_t permitted = permit >= (dbk_real)0;
-      const dbk_real around = margin + (held ? scene->held_error : (dbk_real)0);
-      const dbk_real h = gap[l] - ctx->motion.bound_r[l] - around; /* no sphere of the link is nearer */
-      if (h > DBK_CULL_FLOOR && model->alpha * h >= speed + ctx->motion.speed[l] && h + model->sampling >= ctx->h_min) {
-        continue;
-      }
-      const terms t = {around,
-                       model->alpha,
-                       permitted ? -permit : model->recovery,
-                       permitted ? (dbk_real)0 : shape.velocity_error,
-                       (dbk_real)0.5 * model->period,
-                       {shape.velocity[0], shape.velocity[1], shape.velocity[2]},
-                       permitted,
-                       moving};
-      const dbk_real least = against_obstacle(model, ctx, &shape, &t, l, first, count, o);
-      if (permitted) { continue; }
-      ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
-      if (least < model->period * (speed + ctx->motion.speed[l]) + DBK_CULL_FLOOR) { remember(ctx, l, o); }
+  dbk_obstacle shape = scene->obstacle[index];
+  const dbk_real *v = shape.velocity;
+  for (int32_t e = 0; e < 3; ++e) { shape.position[e] += v[e] * age; }
+  const dbk_real speed = dbk_sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) + shape.velocity_error;
+  const dbk_real margin = shape.margin + shape.velocity_error * age + model->sampling + model->rounding + extra;
+  dbk_distance(&shape, n_links, ctx->motion.bound_x, ctx->motion.bound_y, ctx->motion.bound_z, gap, nx, ny, nz);
+  int32_t end = 0;
+  for (int32_t l = 0; l < n_links; l = end) {
+    const int32_t held = l == model->n_links;
+    const dbk_real around = margin + (held ? scene->held_error : (dbk_real)0);
+    const dbk_real permit = scene->permit[l][index];
+    const int32_t permitted = permit >= (dbk_real)0;
+    end = l + 1;
+    if (!matters(model, scene, ctx, l, gap[l] - around, speed)) { continue; }
+    dbk_real fastest = ctx->motion.speed[l];
+    while (end < model->n_links && scene->permit[end][index] == permit &&
+           matters(model, scene, ctx, end, gap[end] - around, speed)) {
+      fastest = dbk_max(fastest, ctx->motion.speed[end]);
+      ++end;
     }
+    const terms t = {around,
+                     model->alpha,
+                     permitted ? -permit : model->recovery,
+                     permitted ? (dbk_real)0 : shape.velocity_error,
+                     (dbk_real)0.5 * model->period,
+                     {v[0], v[1], v[2]},
+                     permitted,
+                     !(shape.flags & DBK_STATIC)};
+    const int32_t first = first_of(model, l), count = last_of(model, scene, end - 1) - first;
+    const dbk_real least = against_obstacle(model, ctx, &shape, &t, first, count, index);
+    if (permitted) { continue; }
+    ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
+    if (least < model->period * (speed + fastest) + DBK_CULL_FLOOR) { remember(ctx, first, count, index); }
   }
 }
 
@@ -193,7 +203,7 @@ static void against_sphere(const dbk_model *model, dbk_ctx *ctx, const link_pair
     }
   }
   ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
-  if (least < model->period * p->speed + DBK_CULL_FLOOR) { remember(ctx, p->far, -1 - i); }
+  if (least < model->period * p->speed + DBK_CULL_FLOOR) { remember(ctx, first, p->count, -1 - i); }
 }
 
 /* spheres of link `far` (moved by more joints) against those of link `near` */
@@ -264,11 +274,13 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
     rows->b[kept] = b * inverse;
     rows->h[kept] = rows->h[r] + model->sampling;
     rows->norm[kept] = norm;
-    rows->kind[kept] = rows->kind[r];
-    rows->i[kept] = rows->i[r];
-    rows->j[kept] = rows->j[r];
-    rows->moving[kept] = rows->moving[r];
-    rows->yielding[kept] = rows->yielding[r];
+    if (kept != r) {
+      rows->kind[kept] = rows->kind[r];
+      rows->i[kept] = rows->i[r];
+      rows->j[kept] = rows->j[r];
+      rows->moving[kept] = rows->moving[r];
+      rows->yielding[kept] = rows->yielding[r];
+    }
     ++kept;
   }
   rows->count = kept;
@@ -286,7 +298,9 @@ void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   ctx->rows.count = ctx->rows.overflow = ctx->rows.stuck = ctx->rows.unavoidable = 0;
   ctx->visits.count = 0;
   ctx->h_min = (dbk_real)10; /* farther than any robot here reaches */
-  obstacle_rows(model, scene, ctx, age, extra, known_only);
+  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
+    if (!known_only || (scene->obstacle[o].flags & DBK_KNOWN)) { obstacle_rows(model, scene, ctx, age, extra, o); }
+  }
   for (int32_t p = 0; p < model->n_pairs; ++p) {
     against_link(model, scene, ctx, model->pair[p][0], model->pair[p][1], extra);
   }

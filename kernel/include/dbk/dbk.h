@@ -53,6 +53,7 @@ typedef struct {
   dbk_real slide_x[DBK_MAX_SPHERES], slide_y[DBK_MAX_SPHERES], slide_z[DBK_MAX_SPHERES]; /* shift per metre of opening */
   /* filled by dbk_prepare */
   dbk_real reach[DBK_MAX_DOF][DBK_ALL_SPHERES]; /* longest lever arm of joint k on a sphere, any posture [m] */
+  int32_t sphere_frame[DBK_ALL_SPHERES];
 } dbk_model;
 
 typedef struct {
@@ -104,10 +105,10 @@ typedef struct {
   int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
 } dbk_rows;
 
-/* (link, obstacle) and (link, sphere) that one period could bring to h = 0: what the certificate looks at again */
+/* runs of spheres that one period could bring to h = 0 at an obstacle or sphere: what the certificate looks at again */
 typedef struct {
   int32_t count;
-  int16_t link[DBK_MAX_VISITS], other[DBK_MAX_VISITS]; /* other: obstacle, or -1 - sphere */
+  int16_t first[DBK_MAX_VISITS], spheres[DBK_MAX_VISITS], other[DBK_MAX_VISITS]; /* other: obstacle, or -1 - sphere */
 } dbk_visits;
 
 typedef struct {

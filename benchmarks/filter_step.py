@@ -1,0 +1,130 @@
+"""One step of the safety filter: time from Python and in C, warm and cold, by the number of obstacle rows.
+
+Run: python benchmarks/filter_step.py [--json]
+
+Rows are pairs of a robot sphere and an obstacle sphere that the filter looks at. Two settings: `rows` has no
+acceleration limits and obstacles near enough that most pairs are rows of the QP; `shipped` is the filter as it runs,
+where the acceleration box tells which rows can bind in this step. C times are processor time, Python times are the
+median of blocks of wall time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import time
+
+import msgspec
+import numpy as np
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.records import Pose, Sphere
+from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.safety.native import kernel_hash
+
+SPHERES = 10
+"""Spheres of the body in the `rows` setting: two on each of the last five links that have some."""
+
+
+def thin_body():
+    """The Panda with `SPHERES` moving spheres and no self pairs, so that rows are obstacle rows only."""
+    body = load_body("panda")
+    chosen = []
+    for link in ("link3", "link4", "link5", "link6", "hand"):
+        chosen += [s for s in body.spheres if s.link == link][:2]
+    pairs = msgspec.structs.replace(body.self_pairs, kept=())
+    return msgspec.structs.replace(body, spheres=tuple(chosen[:SPHERES]), self_pairs=pairs)
+
+
+def make(body, obstacles, *, limits):
+    """A filter among `obstacles` spheres around the arm, seeded."""
+    rng = np.random.default_rng(0)
+    config = FilterConfig(lag_compensation=False, tracking_error=0.0, acceleration_limits=limits)
+    safety = SafetyFilter(body, config)
+    things = []
+    while len(things) < obstacles:
+        place = rng.uniform([0.1, -0.7, 0.0], [0.9, 0.7, 1.0])
+        if np.linalg.norm(place - np.array([0.4, 0.0, 0.5])) > 0.3:
+            things.append(Obstacle(f"o{len(things)}", Sphere(0.04), Pose(tuple(place.tolist()))))
+    safety.observe(things, 0.0)
+    return safety
+
+
+def episode(body, obstacles, *, limits, steps=1500):
+    """States, nominals and row counts of a closed loop driven by slow sines at high speed."""
+    safety = make(body, obstacles, limits=limits)
+    t = np.arange(steps)[:, None] * 1e-3
+    rates = np.array([0.7, 1.1, 0.9, 1.3, 1.7, 1.9, 2.3])
+    u_nom = np.ascontiguousarray(1.5 * np.sin(2 * np.pi * rates * t + np.arange(body.n)))
+    q, log, rows, iterations = np.array(body.home), np.empty((steps, body.n)), 0, 0
+    for k in range(steps):
+        log[k] = q
+        answer = safety.filter(RobotState(0.0, k, q, np.zeros(body.n), 0.02, (0.0, 0.0)), u_nom[k], 0.0)
+        rows, iterations = rows + answer.n_rows, iterations + answer.iterations
+        q = q + 1e-3 * answer.u
+    return log, u_nom, rows / steps, iterations / steps
+
+
+def python_time(safety, log, u_nom, block=50):
+    """Median seconds of one `filter` call, by blocks."""
+    states = [RobotState(0.0, k, q, np.zeros(len(q)), 0.02, (0.0, 0.0)) for k, q in enumerate(log)]
+    times = []
+    safety.reset()
+    for start in range(0, len(states) - block, block):
+        begin = time.perf_counter()
+        for k in range(start, start + block):
+            safety.filter(states[k], u_nom[k], 0.0)
+        times.append((time.perf_counter() - begin) / block)
+    return float(np.median(times))
+
+
+def c_time(safety, log, u_nom, *, cold):
+    """Least of five means: what the step costs when the machine is not busy elsewhere."""
+    times = []
+    for _ in range(5):
+        safety.reset()
+        times.append(safety._kernel.time_steps(log, u_nom, cold))
+    return min(times)
+
+
+def measure():
+    """One record per setting and number of pairs; times in microseconds."""
+    records = []
+    settings = [("rows", thin_body(), n, n // SPHERES, False) for n in (10, 50, 100, 400)]
+    panda = load_body("panda")
+    settings += [("shipped", panda, 100 * k, k, True) for k in (1, 4, 10, 40)]
+    for name, body, pairs, obstacles, limits in settings:
+        log, u_nom, rows, iterations = episode(body, obstacles, limits=limits)
+        safety = make(body, obstacles, limits=limits)
+        records.append({
+            "setting": name, "pairs": pairs, "obstacles": obstacles, "rows": round(rows, 1),
+            "iterations": round(iterations, 3), "c_warm_us": 1e6 * c_time(safety, log, u_nom, cold=False),
+            "c_cold_us": 1e6 * c_time(safety, log, u_nom, cold=True),
+            "python_us": 1e6 * python_time(safety, log, u_nom),
+        })  # fmt: skip
+    return records
+
+
+def main() -> None:
+    """Print a table, or one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    records = measure()
+    if parser.parse_args().json:
+        json.dump({"kernel": kernel_hash(), "machine": platform.processor() or platform.machine(), "steps": records},
+                  sys.stdout)  # fmt: skip
+        print()
+        return
+    print(f"kernel {kernel_hash()}\n{'setting':>8} {'pairs':>6} {'rows':>6} {'iter':>6}   C warm  C cold  Python  [us]")
+    for r in records:
+        print(
+            f"{r['setting']:>8} {r['pairs']:>6} {r['rows']:>6} {r['iterations']:>6}  "
+            f"{r['c_warm_us']:7.2f} {r['c_cold_us']:7.2f} {r['python_us']:7.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
