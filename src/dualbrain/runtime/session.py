@@ -30,7 +30,7 @@ from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.thinking import Clock, Thinking
+from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
 from dualbrain.runtime.trace import Event, Trace
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
@@ -99,19 +99,21 @@ class Session:
         """Open everything; raises `MissingPart`, `InvalidSetup` or `UnknownName` before anything has moved."""
         self.config, self.times = config, times
         self._stack = ExitStack()
+        self._interrupted = False
         try:
             self._open(environ)
         except BaseException:
             self._stack.close()
             raise
 
-    def _open(self, environ: Mapping[str, str]) -> None:
+    def _open(self, environ: Mapping[str, str], planner: Planner | None) -> None:
         config = self.config
         self.body = load_body(config.robot)
         self.spec = open_scene(config.scene)
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
-        self.planner = self._open_planner(environ)
-        self._stack.callback(self.planner.close)
+        self.planner = planner or self._open_planner(environ)
+        if planner is None:
+            self._stack.callback(self.planner.close)
         config.out.mkdir(parents=True, exist_ok=True)
         config.ledger.parent.mkdir(parents=True, exist_ok=True)
         ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.times.now())
@@ -132,7 +134,9 @@ class Session:
     def run(self, onlooker: Onlooker) -> Finished:
         """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
         config, out = self.config, self.config.out
-        out.joinpath("config.json").write_bytes(msgspec.json.format(msgspec.json.encode(config, enc_hook=str), indent=2))
+        out.joinpath("config.json").write_bytes(
+            msgspec.json.format(msgspec.json.encode(config, enc_hook=str), indent=2)
+        )
         save_scene(self.spec, out / "scene.json")
         self.interrupted = self.ledger.start_run(out.name, {"instruction": config.instruction}, now=self.times.now())
         trace = Trace(self.body.n)
@@ -148,17 +152,22 @@ class Session:
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
         return Finished(episode, stored, trace)
 
+    def interrupt(self) -> None:
+        """A person wants the robot to stop: it brakes to rest, the drive goes off, and everything is recorded."""
+        self._interrupted = True
+
     def _episode(self, log: FlightLog, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
         config, world = self.config, self.world
         layer = LocalLayer(
             self.body, self.plant, world, SafetyFilter(self.body), log, LayerConfig(guard=config.guard),
             watch=onlooker.moment, phase_changed=lambda phase, roles: (world.allow(phase, roles), onlooker.phase(phase)),
+            interrupted=lambda: self._interrupted,
         )  # fmt: skip
         given = config.contract is not None
         errand = Errand(
             config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
         )
-        thinking = Thinking(self.times.clock, config.measured, 0.0 if given else Thinking.planning_time)
+        thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions())
         return run_episode(errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now())
 
