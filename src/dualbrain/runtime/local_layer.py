@@ -36,6 +36,8 @@ BROKEN_FOR = 0.05
 """A stopped or faulty filter for this long [s] ends the contract."""
 LET_GO = 0.5
 """For this long after it was let go a thing is believed to fall and roll [s]."""
+INTERRUPTED = Ending(Status.RUNNING, "interrupted by a person")
+"""How an action ends when a person wants the robot to stop."""
 IDLE = -1
 """Action index of ticks outside a contract."""
 
@@ -81,11 +83,13 @@ class LocalLayer:
         self, body: Body, robot: Robot, surroundings: Surroundings, safety: SafetyFilter, log: FlightLog,
         config: LayerConfig, *, watch: Callable[[Moment], None] | None = None,
         phase_changed: Callable[[str, dict[str, str | None]], None] | None = None,
+        interrupted: Callable[[], bool] = lambda: False,
     ) -> None:  # fmt: skip
-        """Bind everything and look around once; the robot is not moved."""
+        """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop."""
         self.body, self.robot, self.surroundings, self.safety = body, robot, surroundings, safety
         self.log, self.config = log, config
         self.limb = Limb(body, safety)
+        self.interrupted = interrupted
         self._watch = watch
         self._phase_changed = phase_changed
         self._roles: dict[str, str | None] = {}
@@ -115,7 +119,10 @@ class LocalLayer:
             self._tick(replace(nominal, phase=self._phase or phase, touches=self._touches), IDLE)
 
     def run(self, contract: Contract) -> Outcome:
-        """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth."""
+        """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth.
+
+        However it ends, the arm brakes to rest through the filter; after an interruption or a fault the drive goes off.
+        """
         first = len(self.log.trace)
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
@@ -123,7 +130,10 @@ class LocalLayer:
             result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
             results.append(result)
         self.hold(self.config.settle, "settle")
-        if contract.action_sequence[0].skill == "decline":
+        if kind in ("aborted", "stopped"):
+            self.robot.stop()
+            self.log.note(self.state.stamp, "fault", "at rest, drive off, brakes on")
+        elif contract.action_sequence[0].skill == "decline":
             kind = "declined"
         bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
         return self.log.outcome(kind, bad.reason, first, tuple(results))
@@ -143,19 +153,22 @@ class LocalLayer:
             Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over", Status.RUNNING: "stopped",
         }  # fmt: skip
         status = "stopped" if ending.status is Status.RUNNING else ending.status.value
+        kind = "aborted" if ending is INTERRUPTED else kinds[ending.status]
         Delta = self.log.Delta(first)
-        return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kinds[ending.status]
+        return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
 
     def _carry_out(self, running: Running, index: int) -> Ending:
         """Tick until the story ends or the filter takes over; a stop for a fault ends with status RUNNING."""
         self._bad = 0
-        while True:
+        while not self.interrupted():
             nominal = running.nominal(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
             if isinstance(nominal, Ending):
                 return nominal
             result = self._tick(nominal, index)
             if why := self._given_up(result):
                 return why
+        self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
+        return INTERRUPTED
 
     def _given_up(self, result: Filtered) -> Ending | None:
         if result.status < FilterStatus.RELAXED:
@@ -171,11 +184,10 @@ class LocalLayer:
     # --- one tick -----------------------------------------------------------------------------------------------
 
     def _tick(self, nominal: Nominal, action: int) -> Filtered:
-        if nominal.phase != self._phase:
-            self._enter(nominal)
-        if nominal.holding is not self._holding:
-            self._take(nominal.holding)
         now = self.state.stamp
+        if nominal.phase != self._phase or nominal.holding is not self._holding:
+            self._change(nominal)
+            nominal = replace(nominal, u=self.limb.reconsider(nominal.u))
         result = self.safety.filter(self.state, nominal.u, now)
         if not self.config.guard:
             result = result.unfiltered()
@@ -201,6 +213,13 @@ class LocalLayer:
         name, when = self._let_go
         fallen = (name,) if self.state.stamp - when < LET_GO else ()
         return (self._holding.name, *fallen) if self._holding else fallen
+
+    def _change(self, nominal: Nominal) -> None:
+        """A new phase or a changed grip: what the filter keeps apart changes with it."""
+        if nominal.phase != self._phase:
+            self._enter(nominal)
+        if nominal.holding is not self._holding:
+            self._take(nominal.holding)
 
     def _enter(self, nominal: Nominal) -> None:
         """A new phase: its contact permits replace the old ones."""

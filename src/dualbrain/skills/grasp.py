@@ -14,8 +14,10 @@ from dualbrain.skills.skill import Ending, Status, Story
 
 FINGER_DEPTH = 0.016
 """How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins to the top."""
-OVER = 0.02
+OVER = 0.04
 """Room between finger tips and the top of a thing when passing over it [m]."""
+BRINK = 0.03
+"""Height of the finger tips above a thing's top from which they come down gently [m]."""
 
 
 def spec(body: Body) -> SkillSpec:
@@ -92,7 +94,8 @@ def _seize(limb: Limb, name: str, at: Goal, clearance: float, speed: float, forc
     x, y, _ = thing.pose.position
     at = limb.shifted(at, np.array([x, y, grasp_height(limb.body, thing)]))
     above = _above(limb, at, thing, clearance)
-    if why := (yield from come_down(limb, above, at, "descend", min(speed, 0.2), approach="approach")):
+    brink = _back(limb, at, geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool)
+    if why := (yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")):
         return why
     if why := (yield from limb.close(force)):
         return why
@@ -108,9 +111,14 @@ def _seize(limb: Limb, name: str, at: Goal, clearance: float, speed: float, forc
 
 def _above(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
     """The pose from which the fingers come down: back along the approach axis, tips clear of the thing's top."""
-    tips = max(limb.floor + clearance, geometry.top(thing) + OVER) + limb.body.gripper.pad_below_tool
+    tips = max(limb.floor + clearance, geometry.top(thing) + OVER)
+    return _back(limb, at, tips + limb.body.gripper.pad_below_tool)
+
+
+def _back(limb: Limb, at: Goal, height: float) -> Goal:
+    """`at` moved back along its approach axis until the tool is at `height` [m]."""
     axis = at.rotation[:, 2]
-    back = max(0.0, tips - at.position[2]) / -axis[2]
+    back = max(0.0, height - float(at.position[2])) / -axis[2]
     return limb.shifted(at, at.position - back * axis)
 
 

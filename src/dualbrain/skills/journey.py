@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.skills.limb import BESIDE, CEILING, PERSON_PATIENCE, YIELDED, Goal, Limb, Part, lifted
+from dualbrain.skills.parameters import CONTACT_SPEED
 from dualbrain.skills.person import may_be_over
 from dualbrain.skills.progress import STANDSTILL
 from dualbrain.skills.route import bend
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 
 RETRY_AFTER = 1.0
 """No progress for this long [s] makes a journey try another way, while one is left."""
+GENTLE = 0.9 * CONTACT_SPEED
+"""Speed of the last stretch before a contact [m/s]."""
 RISE = 0.18
 """How far a blocked tool rises to cross above [m]."""
 
@@ -48,18 +51,28 @@ def travel(limb: Limb, points: Sequence[Goal], phase: str, speed: float) -> Part
     return why
 
 
-def come_down(limb: Limb, above: Goal, down: Goal, phase: str, speed: float, *, approach: str) -> Part:
-    """Go down from `above` to `down` when no person will be there; after one came by, start again from above."""
+def come_down(
+    limb: Limb, above: Goal, brink: Goal, down: Goal, phase: str, speed: float, *, approach: str
+) -> Part:  # fmt: skip
+    """Go down from `above` when no person will be there: fast to the `brink`, then gently to `down`.
+
+    Gently means slower than the permitted contact speed, so that no contact row bends the path. After a person came by,
+    it starts again from above.
+    """
     horizon = 2.0 + 2.0 * float(above.position[2] - down.position[2]) / speed
     while True:
         if why := (yield from wait_for_people(limb, above, down.position, horizon, approach)):
             return why
-        why = yield from limb.reach(down, phase, speed)
+        why = yield from limb.reach(brink, phase, speed)
+        if why is None:
+            why = yield from limb.reach(down, phase, GENTLE)
         if why is not YIELDED:
             return why
 
 
-def wait_for_people(limb: Limb, station: Goal, spot: Array, horizon: float, phase: str, *, reach: float = BESIDE) -> Part:
+def wait_for_people(
+    limb: Limb, station: Goal, spot: Array, horizon: float, phase: str, *, reach: float = BESIDE
+) -> Part:
     """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, seen from above."""
     start = limb.senses.now
     while True:

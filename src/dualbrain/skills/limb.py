@@ -224,7 +224,9 @@ class Limb:
         """How far the lowest point of the load, or of the empty fingers, lies below the tool [m]."""
         return self.holding.below_tool if self.holding else self.body.gripper.pad_below_tool
 
-    def threatened(self, spot: Array, horizon: float = 1.5, reach: float = BESIDE, *, ever: bool = False) -> float | None:
+    def threatened(
+        self, spot: Array, horizon: float = 1.5, reach: float = BESIDE, *, ever: bool = False
+    ) -> float | None:
         """Height [m] to get above because a person soon sweeps by `spot`; looked at afresh with each new scene.
 
         With `ever` the height of the tool does not count: whether anyone passes there at all.
@@ -240,6 +242,10 @@ class Limb:
 
     def _distance(self, goal: Goal) -> float:
         return float(np.linalg.norm(goal.position - self.senses.tool.position))
+
+    def reconsider(self, u: Array) -> Array:
+        """u_nom (n,) [rad/s] once more, because what φ knows changed since this tick's was made."""
+        return self._phi.reconsider(self.senses.state, u, self.senses.now)
 
     def rest(self, phase: str) -> Nominal:
         """One tick of standing still."""

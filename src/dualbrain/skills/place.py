@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 OVER_RIM = 0.012
 """Room between what is held and the rim when letting go [m]."""
+BRINK = 0.04
+"""How far above its release height a load is lowered gently [m]."""
 TOUCH_DOWN = 0.004
 """Height above a support at which a thing is let go [m]."""
 
@@ -77,7 +79,8 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
     above = lifted(down, height)
     if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)):
         return why
-    if why := (yield from come_down(limb, above, down, "lower", min(speed, 0.15), approach="carry")):
+    brink = lifted(down, min(height, float(down.position[2]) + BRINK))
+    if why := (yield from come_down(limb, above, brink, down, "lower", min(speed, 0.2), approach="carry")):
         return why
     if not limb.grips():
         limb.holding = None

@@ -52,7 +52,7 @@ class ResolvedRate:
         self._brake = 0.6 * np.array([joint.acceleration.value for joint in body.joints])
         self._ridge = self._gains.damping**2 * np.eye(6)
         self._twist = np.zeros(6)
-        self._u_nom = np.zeros(body.n)
+        self._u_nom = self._before = np.zeros(body.n)
 
     def toward(
         self, state: RobotState, tool: ToolState, position: Array, rotation: Array, speed: float, posture: Array,
@@ -74,6 +74,11 @@ class ResolvedRate:
         """u_nom (n,) [rad/s] that comes to a standstill."""
         self._twist[:] = 0.0
         return self._project(state, np.zeros_like(self._u_nom), now)
+
+    def reconsider(self, state: RobotState, u: Array, now: float) -> Array:
+        """This tick's u_nom (n,) [rad/s] projected again, from the tick before, onto rows that have changed meanwhile."""
+        self._u_nom = self._before
+        return self._project(state, u, now)
 
     def _lead_twist(self, tool: ToolState, position: Array, rotation: Array, speed: float, *, stop: bool) -> None:
         """Let the twist follow the wanted one within the acceleration bounds."""
@@ -100,7 +105,8 @@ class ResolvedRate:
         return self._project(state, wish / excess if excess > 1.0 else wish, now)
 
     def _project(self, state: RobotState, wish: Array, now: float) -> Array:
-        self._u_nom = self._motion.project(state, wish, self._u_nom, now)
+        self._before = self._u_nom
+        self._u_nom = self._motion.project(state, wish, self._before, now)
         return self._u_nom
 
 
