@@ -20,6 +20,7 @@ from dualbrain.cli.folders import cache, home
 os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported: no screen is needed
 
 from dualbrain.cli.album import Album
+from dualbrain.cli.ctrl_c import ctrl_c
 from dualbrain.cli.lookout import Lookout
 from dualbrain.dashboard.report import write_report
 from dualbrain.records import Episode
@@ -48,7 +49,8 @@ def carry_out(
     with Session(config, times, os.environ) as session:
         lookout = Lookout(session, port, console) if view else None
         album = Album(session.plant, console)
-        finished = session.run(_onlooker(session, console, album, lookout))
+        with ctrl_c(session.interrupt):
+            finished = session.run(_onlooker(session, console, album, lookout))
         album.snap("the end")
         write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
         album.close()
@@ -81,11 +83,12 @@ def succeeded(episode: Episode) -> bool:
 
 def summary(episode: Episode, out: Path) -> dict[str, Any]:
     """The one object that `--json` prints."""
-    outcome, last = episode.outcome, episode.attempts[-1]
+    outcome = episode.outcome
+    last = episode.attempts[-1].verdict if episode.attempts else None
     return {
         "success": succeeded(episode), "outcome": outcome.kind, "reason": outcome.reason,
         "violations": episode.judgement.violations if episode.judgement else [],
-        "contract": episode.contract, "verdict": last.verdict, "shots": len(episode.attempts),
+        "contract": episode.contract, "verdict": last, "shots": len(episode.attempts),
         "delta": outcome.Delta, "intervention_frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
         "duration": outcome.duration, "timings": episode.timings, "out": str(out),
     }  # fmt: skip

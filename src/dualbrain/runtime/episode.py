@@ -73,8 +73,12 @@ def run_episode(
     for shot in range(1, errand.shots + 1):
         asked = layer.state.stamp
         proposal = thinking.wait_for(layer, lambda ask=request: planner.propose(ask))
+        if proposal is None:
+            break
         stamp = Stamp(shot, asked, asked + CONTRACT_LIFE, PLANNER, scene.version)
-        verdict, gate_s = thinking.timed(lambda text=proposal, stamp=stamp: _check(gate, text, names, layer.state.stamp, stamp))
+        verdict, gate_s = thinking.timed(
+            lambda text=proposal, stamp=stamp: _check(gate, text, names, layer.state.stamp, stamp)
+        )
         attempts.append(Attempt(proposal, verdict, gate_s))
         layer.log.attempt(layer.state.stamp, attempts[-1])
         layer.log.note(layer.state.stamp, "verdict", _verdict_words(shot, verdict))
@@ -84,7 +88,7 @@ def run_episode(
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
         witness.begin(contract)
-    outcome = layer.run(contract) if contract else Outcome("rejected", _verdict_words(len(attempts), verdict))
+    outcome = layer.run(contract) if contract else _unmoved(layer, len(attempts), verdict)
     episode = Episode(
         errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary, recall,
         tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
@@ -101,6 +105,13 @@ def _check(gate: Gate, proposal: Proposal, names: SceneNames, now: float, stamp:
     return gate.check(
         proposal.text.encode("utf-8", "surrogatepass"), names=names, principal=PLANNER, now=now, stamp=stamp
     )
+
+
+def _unmoved(layer: LocalLayer, shots: int, verdict: Verdict | None) -> Outcome:
+    """The outcome when no contract was accepted: nothing has moved."""
+    if layer.interrupted():
+        return Outcome("aborted", "interrupted by a person before a contract was accepted")
+    return Outcome("rejected", _verdict_words(shots, verdict))
 
 
 def _verdict_words(shot: int, verdict: Verdict | None) -> str:
@@ -120,4 +131,3 @@ def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
         for part, seconds in attempt.proposal.timings.items():
             timings[f"planner_{part}"] = timings.get(f"planner_{part}", 0.0) + seconds
     return timings
-

@@ -15,6 +15,7 @@ import numpy as np
 
 from dualbrain import __version__, weights
 from dualbrain.embodiment.body import load_body
+from dualbrain.errors import InvalidSetup
 from dualbrain.memory.encoder import MiniLmEncoder
 from dualbrain.memory.ledger import Ledger
 from dualbrain.memory.posture import PostureLimits
@@ -40,6 +41,8 @@ from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import save_scene
 from dualbrain.world.task import goal_of
 
+FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
+"""What a run leaves in its folder."""
 ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
 
 
@@ -95,19 +98,25 @@ class Finished:
 class Session:
     """One robot, one scene, one planner, one memory."""
 
-    def __init__(self, config: RunConfig, times: Times, environ: Mapping[str, str]) -> None:
-        """Open everything; raises `MissingPart`, `InvalidSetup` or `UnknownName` before anything has moved."""
+    def __init__(
+        self, config: RunConfig, times: Times, environ: Mapping[str, str], planner: Planner | None = None
+    ) -> None:
+        """Open everything; raises `MissingPart`, `InvalidSetup` or `UnknownName` before anything has moved.
+
+        A `planner` that is handed in serves this session and stays open; otherwise the configured one is opened.
+        """
         self.config, self.times = config, times
         self._stack = ExitStack()
         self._interrupted = False
         try:
-            self._open(environ)
+            self._open(environ, planner)
         except BaseException:
             self._stack.close()
             raise
 
     def _open(self, environ: Mapping[str, str], planner: Planner | None) -> None:
         config = self.config
+        _check_folder(config.out)
         self.body = load_body(config.robot)
         self.spec = open_scene(config.scene)
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
@@ -186,3 +195,12 @@ class Session:
     ) -> None:
         """Close everything."""
         self._stack.close()
+
+
+def _check_folder(out: Path) -> None:
+    """Refuse a run folder that holds a run: nothing that was recorded is written over."""
+    found = sorted(name for name in FILES if (out / name).exists())
+    if found:
+        raise InvalidSetup("run folder", got=found, allowed="a folder without a run", fix=f"Name another --out. {out}")
+    if out.exists() and not out.is_dir():
+        raise InvalidSetup("run folder", got="a file", allowed="a folder", fix=f"Name another --out. {out}")

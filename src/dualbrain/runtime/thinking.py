@@ -7,8 +7,9 @@ stands still for as long as the planner really takes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from threading import Thread
 from typing import Protocol, TypeVar
 
 from dualbrain.runtime.local_layer import LocalLayer
@@ -35,17 +36,31 @@ class Thinking:
     measured: bool = False
     planning_time: float = PLANNING_TIME
 
-    def wait_for(self, layer: LocalLayer, ask: Callable[[], T]) -> T:
-        """The answer of `ask`, called on a thread of its own while the arm stands still."""
-        with ThreadPoolExecutor(1, thread_name_prefix="planner") as pool:
-            answer: Future[T] = pool.submit(ask)
-            if not self.measured:
-                layer.hold(self.planning_time, "planning")
-            while self.measured and not answer.done():
+    def wait_for(self, layer: LocalLayer, ask: Callable[[], T]) -> T | None:
+        """The answer of `ask`, called on a thread of its own while the arm stands still; None when a person interrupts.
+
+        Nobody waits for a thread that was left behind by an interruption: it ends with the process.
+        """
+        answer: Future[T] = Future()
+        Thread(target=_fulfil, args=(answer, ask), name="planner", daemon=True).start()
+        if not self.measured:
+            layer.hold(self.planning_time, "planning")
+        while not (answer.done() or layer.interrupted()):
+            if self.measured:
                 layer.hold(0.02, "planning")
-            return answer.result()
+            else:
+                wait((answer,), timeout=0.1)
+        return None if layer.interrupted() else answer.result()
 
     def timed(self, do: Callable[[], T]) -> tuple[T, float]:
         """The result of `do` and how long it took [s]."""
         start = self.clock()
         return do(), self.clock() - start
+
+
+def _fulfil(answer: Future[T], ask: Callable[[], T]) -> None:
+    """Put into `answer` what `ask` returns or raises."""
+    try:
+        answer.set_result(ask())
+    except BaseException as error:  # it is raised where the answer is read
+        answer.set_exception(error)

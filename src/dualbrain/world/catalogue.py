@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.scene_spec import SceneSpec, load_scene
 from dualbrain.world.scenes import FAMILIES, make_scene
 
@@ -22,5 +22,7 @@ def open_scene(choice: str) -> SceneSpec:
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
         return load_scene(path)
+    if choice.replace(":", "").replace("_", "").isalnum():
+        raise UnknownName("scene", family, tuple(FAMILIES), owner="the catalogue (a number or a scene file also works)")
     allowed = f"a number, FAMILY:SEED with one of {', '.join(FAMILIES)}, or a scene file (.json)"
     raise InvalidSetup("scene", got=choice, allowed=allowed)

@@ -99,7 +99,10 @@ def load_scene(path: Path) -> SceneSpec:
         raise InvalidSetup(
             "scene file", got=str(error), allowed=f"a scene of schema version {SCHEMA_VERSION}", fix=str(path)
         ) from error
-    check_scene(spec)
+    try:
+        check_scene(spec)
+    except InvalidSetup as error:
+        raise InvalidSetup(error.what, got=error.got, allowed=error.allowed, fix=str(path)) from error
     return spec
 
 
