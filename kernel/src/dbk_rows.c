@@ -234,7 +234,10 @@ static void against_link(const dbk_model *model, const dbk_scene *scene, dbk_ctx
 void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
   dbk_rows *rows = &ctx->rows;
   const int32_t count = rows->count;
-  dbk_real square[DBK_MAX_ROWS], total[DBK_MAX_ROWS], best[DBK_MAX_ROWS];
+  dbk_real square[DBK_MAX_ROWS], total[DBK_MAX_ROWS], best[DBK_MAX_ROWS], inverse[DBK_MAX_ROWS];
+  const dbk_real *restrict rx = rows->mx, *restrict ry = rows->my, *restrict rz = rows->mz;
+  const dbk_real *restrict nx = rows->nx, *restrict ny = rows->ny, *restrict nz = rows->nz;
+  const int32_t *restrict from = rows->from, *restrict upto = rows->upto;
   for (int32_t r = 0; r < count; ++r) { square[r] = total[r] = best[r] = (dbk_real)0; }
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real *f = ctx->frames.rotation[k + 1];
@@ -244,9 +247,8 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
     const dbk_real lower = ctx->lower[k], upper = ctx->upper[k];
     dbk_real *restrict a = rows->a[k];
     for (int32_t r = 0; r < count; ++r) {
-      const dbk_real full = (zx * rows->mx[r] + zy * rows->my[r] + zz * rows->mz[r]) -
-                            (mx * rows->nx[r] + my * rows->ny[r] + mz * rows->nz[r]);
-      const dbk_real mine = (k >= rows->from[r] && k < rows->upto[r]) ? full : (dbk_real)0;
+      const dbk_real full = (zx * rx[r] + zy * ry[r] + zz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
+      const dbk_real mine = full * (dbk_real)((upto[r] > k) & (from[r] <= k)); /* a product, so that this vectorises */
       const dbk_real low = mine * lower, high = mine * upper;
       a[r] = mine;
       square[r] += mine * mine;
@@ -254,10 +256,16 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
       best[r] += low > high ? low : high;
     }
   }
-  int32_t kept = 0;
   for (int32_t r = 0; r < count; ++r) {
     const dbk_real norm = dbk_sqrt(square[r]);
-    dbk_real b = rows->b[r] + model->tracking * total[r];
+    square[r] = norm;
+    total[r] = rows->b[r] + model->tracking * total[r];
+    inverse[r] = (dbk_real)1 / (norm > DBK_ZERO_GRADIENT ? norm : DBK_ZERO_GRADIENT);
+  }
+  int32_t kept = 0;
+  for (int32_t r = 0; r < count; ++r) {
+    const dbk_real norm = square[r];
+    dbk_real b = total[r];
     if (!(norm > DBK_ZERO_GRADIENT)) {
       /* nothing can be done about this pair: fine if nothing is needed */
       const int32_t mount = rows->kind[r] == DBK_ROW_OBSTACLE && rows->upto[r] <= 1 && !rows->moving[r];
@@ -269,12 +277,12 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
     }
     /* recovery and contact rows ask for no more than the box can give */
     if (rows->yielding[r] && b > best[r] - DBK_QP_SHIFT * 4 * norm) { b = best[r] - DBK_QP_SHIFT * 4 * norm; }
-    const dbk_real inverse = (dbk_real)1 / norm;
-    for (int32_t k = 0; k < model->n; ++k) { rows->a[k][kept] = rows->a[k][r] * inverse; }
-    rows->b[kept] = b * inverse;
+    rows->b[kept] = b * inverse[r];
     rows->h[kept] = rows->h[r] + model->sampling;
     rows->norm[kept] = norm;
     if (kept != r) {
+      for (int32_t k = 0; k < model->n; ++k) { rows->a[k][kept] = rows->a[k][r]; }
+      inverse[kept] = inverse[r];
       rows->kind[kept] = rows->kind[r];
       rows->i[kept] = rows->i[r];
       rows->j[kept] = rows->j[r];
@@ -282,6 +290,10 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
       rows->yielding[kept] = rows->yielding[r];
     }
     ++kept;
+  }
+  for (int32_t k = 0; k < model->n; ++k) {
+    dbk_real *restrict a = rows->a[k];
+    for (int32_t r = 0; r < kept; ++r) { a[r] *= inverse[r]; }
   }
   rows->count = kept;
   /* empty rows fill the last vector */

@@ -70,7 +70,7 @@ def agree(rng, *, with_piqp):
         assert near_the_edge(p), f"ours {result}, DAQP feasible {feasible}"
         return feasible
     if feasible:
-        assert cost(R, u, u_nom) <= cost(R, x, u_nom) + 1e-7
+        assert cost(R, u, u_nom) <= cost(R, x, u_nom) * (1 + 1e-6) + 1e-6  # DAQP forgives 1e-6 in a row
         assert gap[norm > 1e-9].min(initial=0.0) > -1e-8
         assert np.all(u >= low - 1e-9)
         assert np.all(u <= high + 1e-9)
