@@ -1,5 +1,6 @@
 """The account of a run: what people read while it happens, what programs read when it is over, what remains on disk."""
 
+# ruff: noqa: E402  (the GL library is chosen before MuJoCo is imported)
 from __future__ import annotations
 
 import os
@@ -16,8 +17,9 @@ from rich.markup import escape
 
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
+from dualbrain.cli.graphics import choose_graphics
 
-os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported: no screen is needed
+NO_GRAPHICS = choose_graphics(os.environ)  # before MuJoCo is imported
 
 from dualbrain.cli.album import Album
 from dualbrain.cli.ctrl_c import ctrl_c
@@ -48,7 +50,7 @@ def carry_out(
     console.print(f"[bold]{escape(instruction) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]")
     with Session(config, times, os.environ) as session:
         lookout = Lookout(session, port, console) if view else None
-        album = Album(session.plant, console)
+        album = Album(session.plant, console, NO_GRAPHICS)
         with ctrl_c(session.interrupt):
             finished = session.run(_onlooker(session, console, album, lookout))
         album.snap("the end")

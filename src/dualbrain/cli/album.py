@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 
 from dualbrain.dashboard.report import Snapshot
 from dualbrain.errors import MissingPart
@@ -22,8 +23,8 @@ MOMENTS = {
 class Album:
     """Takes one picture at the first of each telling phase; without a GL library it stays empty and says why."""
 
-    def __init__(self, plant: Plant, console: Console) -> None:
-        """Open the camera."""
+    def __init__(self, plant: Plant, console: Console, no_graphics: str = "") -> None:
+        """Open the camera; `no_graphics` is why no GL library is in use, if that is so."""
         self._plant = plant
         self._seen: set[str] = set()
         self.pictures: list[Snapshot] = []
@@ -31,7 +32,7 @@ class Album:
         try:
             self._camera = Camera(plant)
         except MissingPart as why:
-            console.print(f"[yellow]no pictures:[/] {why}")
+            console.print(f"[yellow]no pictures:[/] {escape(no_graphics or str(why))}")
 
     def phase(self, phase: str) -> None:
         """A phase begins."""

@@ -17,6 +17,7 @@ from rich.table import Table
 from dualbrain import __version__, weights
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
+from dualbrain.cli.graphics import choose_graphics
 from dualbrain.errors import DualbrainError
 
 
@@ -93,12 +94,14 @@ def _latency() -> list[Finding]:
 
 
 def _rendering() -> list[Finding]:
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    why = choose_graphics(os.environ)
     from dualbrain.embodiment.body import load_body  # noqa: PLC0415
     from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
-    from dualbrain.world.pictures import Camera  # noqa: PLC0415
+    from dualbrain.world.pictures import PACKAGES, Camera  # noqa: PLC0415
     from dualbrain.world.plant import Plant  # noqa: PLC0415
 
+    if why:
+        return [Finding("rendering", False, f"{why}. Debian: apt-get install --no-install-recommends {PACKAGES}")]
     with Camera(Plant(open_scene("bare:0"), load_body("panda")), width=64, height=48) as camera:
         picture = camera.snap()
     return [Finding("rendering", bool(picture.any()), f"MUJOCO_GL={os.environ['MUJOCO_GL']}")]

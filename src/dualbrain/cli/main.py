@@ -53,3 +53,6 @@ def call(arguments: list[str]) -> int:
         return Exit.INTERRUPTED
     except BrokenPipeError:
         return Exit.SUCCESS
+    except OSError as error:
+        print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)
+        return Exit.SETUP
