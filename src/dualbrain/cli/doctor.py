@@ -125,4 +125,5 @@ def _memory() -> list[Finding]:
         return [Finding("memory", True, "empty: no run yet")]
     with LedgerReader(path) as ledger:
         report = ledger.verify()
-    return [Finding("memory", report.intact, str(report))]
+    state = "chain whole" if report.whole else f"damaged at event {report.broken_at}: {report.fault}"
+    return [Finding("memory", report.whole, f"{report.events} events, {state}")]
