@@ -1,0 +1,145 @@
+"""A given contract through gate, skills, filter and physics, without planner and memory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.embodiment.body import Body, load_body
+from dualbrain.records import Judgement, Outcome
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.world.task import Goal
+from proofs.proof import Row
+
+ERRAND = Goal("red_cube", "blue_bowl")
+FORBIDDEN = ("collision_env", "collision_human", "self_collision", "joint_limit", "joint_velocity")
+"""Kinds of violation that must not happen at all; other kinds are listed."""
+GRASP = {
+    "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
+    "wait": "none", "force": 20.0,
+}  # fmt: skip
+PLACE = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What a contract led to: outcome or refusal, the judgement on truth, the trace, the plant as it ended."""
+
+    outcome: Outcome | None
+    refusal: Rejected | None
+    judgement: Judgement
+    trace: Trace
+    plant: Plant
+
+
+@cache
+def panda() -> Body:
+    """The body, loaded once a process."""
+    return load_body("panda")
+
+
+def errand(**values: Any) -> list[dict[str, Any]]:
+    """The actions that grasp the red cube and place it in the bowl, with `values` wherever they are parameters."""
+    grasp, place = ({name: values.get(name, value) for name, value in base.items()} for base in (GRASP, PLACE))
+    return [{"skill": "grasp", "params": grasp}, {"skill": "place", "params": place}]
+
+
+def fly(
+    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, hold: float = 0.2, goal: Goal | None = ERRAND
+) -> Flight:
+    """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out, filter on."""
+    body = panda()
+    plant = Plant(spec, body)
+    world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])), goal=goal)
+    log = FlightLog(Trace(body.n))
+    layer = LocalLayer(body, plant, world, SafetyFilter(body), log, LayerConfig(), phase_changed=world.allow)
+    layer.hold(hold)
+    verdict = _gate(layer, actions)
+    if isinstance(verdict, Rejected):
+        return Flight(None, verdict, world.judgement(), log.trace, plant)
+    outcome = layer.run(verdict.contract)
+    return Flight(outcome, None, world.judgement(), log.trace, plant)
+
+
+def _gate(layer: LocalLayer, actions: list[dict[str, Any]]):
+    registry = vocabulary(layer.body.name)
+    context = {"robot": registry.robot, "registry": registry.hash}
+    data = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
+    gate = Gate(registry, grants(registry), scene_rules(layer.scene, layer.limb))
+    return gate.check(data, names=scene_names(layer.scene), principal=PLANNER, now=layer.state.stamp)
+
+
+def row(flight: Flight) -> Row:
+    """The figures of a flight."""
+    if flight.outcome is None:
+        why = flight.refusal
+        return {"valid": False, "reason": f"{why.stage} {why.pointer}: {why.hint}" if why else ""}
+    delta = flight.trace["delta"]
+    return {"valid": True, **outcome_figures(flight.outcome), **judgement_figures(flight.judgement),
+            "delta_max": float(delta.max()), "ticks": len(delta)}  # fmt: skip
+
+
+def outcome_figures(outcome: Outcome) -> Row:
+    """The robot's own verdict and its Δ."""
+    return {
+        "outcome": outcome.kind, "reason": outcome.reason, "Delta": outcome.Delta, "Delta_sum": outcome.Delta_sum,
+        "delta_peak": outcome.delta_peak, "frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
+        "duration": outcome.duration,
+    }  # fmt: skip
+
+
+def judgement_figures(judgement: Judgement | None) -> Row:
+    """Success and violations on truth."""
+    if judgement is None:
+        return {"truth": False, "progress": 0.0, "violations": []}
+    violations = msgspec.to_builtins(judgement.violations)
+    return {"truth": judgement.success, "progress": judgement.progress, "violations": violations}
+
+
+def succeeded(row: Row) -> bool:
+    """The robot says so and truth agrees."""
+    return row.get("outcome") == "succeeded" and row["truth"]
+
+
+def kinds(rows: list[Row]) -> Counter[str]:
+    """How many violations of each kind; those with a body that was not perceived apart."""
+    return Counter(
+        violation["kind"] + ("" if violation["perceived"] else " (not perceived)")
+        for row in rows
+        for violation in row.get("violations", ())
+    )
+
+
+def violation_words(row: Row) -> str:
+    """Every violation of a row in words."""
+    return "; ".join(
+        f"{v['kind']} {' × '.join(v['bodies'])} at {v['start']:.2f} s for {v['duration']:.2f} s, peak {v['peak']:.3g}"
+        + ("" if v["perceived"] else " (not perceived)")
+        for v in row.get("violations", ())
+    )
+
+
+def outcome_words(row: Row) -> str:
+    """How a row ended, for the progress line."""
+    if not row.get("valid", True):
+        return f"refused: {row['reason']}"
+    Delta = row.get("Delta")
+    measure = f"Δ {Delta:.4f}, {row['duration']:.1f} s" if Delta is not None else ""
+    word = "success" if succeeded(row) else f"{row['outcome']} ({row['reason']}), truth {row['truth']}"
+    return ", ".join(part for part in (word, measure, violation_words(row)) if part)

@@ -1,0 +1,31 @@
+"""Figures with their uncertainty, and tables of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import sqrt
+
+Z = 1.959964
+"""Standard normal quantile of a two-sided 95 % interval."""
+
+
+def wilson(successes: int, n: int) -> tuple[float, float]:
+    """The Wilson score interval (95 %) of a proportion; (0, 1) without trials."""
+    if n == 0:
+        return 0.0, 1.0
+    share, scale = successes / n, 1.0 + Z * Z / n
+    middle = (share + Z * Z / (2 * n)) / scale
+    half = Z / scale * sqrt(share * (1 - share) / n + Z * Z / (4 * n * n))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def share(successes: int, n: int) -> str:
+    """In words: 57 of 60 (86%–98%), the interval being Wilson's of 95 %."""
+    low, high = wilson(successes, n)
+    return f"{successes} of {n} ({low:.0%}–{high:.0%})" if n else "none yet"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """A markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return ["| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |" for line in lines] + [""]

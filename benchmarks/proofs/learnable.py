@@ -1,0 +1,148 @@
+"""Does the contract matter? At fixed speed, with a floor under Δ, failures ranked worst (design 8)."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+from statistics import mean, median
+
+from scipy.stats import rankdata
+
+from proofs.closed_loop import succeeded
+from proofs.proof import Row
+
+FAMILIES = ("tall", "shelf", "forearm")
+FLOOR = 1e-4
+"""Δ below this counts as this: a ratio to zero says nothing."""
+FAILED = float("inf")
+RATIO, SPEARMAN = 3.0, 0.5
+
+Scores = dict[int, dict[str, float]]
+"""By seed and contract: max(Δ, floor) of a success, infinity for a failure."""
+
+
+def families(rows: Iterable[Row]) -> dict[tuple[str, float], Scores]:
+    """The scores by (family, speed); contracts that the gate refused are left out."""
+    tables: dict[tuple[str, float], Scores] = defaultdict(lambda: defaultdict(dict))
+    for row in rows:
+        if row.get("valid"):
+            values = row["parameters"]
+            contract = " ".join(str(value) for name, value in values.items() if name != "speed")
+            score = max(row["Delta"], FLOOR) if succeeded(row) else FAILED
+            tables[row["family"], values["speed"]][row["seed"]][contract] = score
+    return {key: {seed: dict(line) for seed, line in sorted(scores.items())} for key, scores in tables.items()}
+
+
+def ratios(scores: Scores) -> list[float]:
+    """Worst over best Δ among the successes of each seed that has at least two."""
+    good = [[value for value in line.values() if value < FAILED] for line in scores.values()]
+    return [max(values) / min(values) for values in good if len(values) > 1]
+
+
+def spearmans(scores: Scores) -> list[float]:
+    """Rank correlation between each two seeds over their common contracts; a constant line says nothing."""
+    found: list[float] = []
+    for first, second in combinations(scores.values(), 2):
+        common = sorted(first.keys() & second.keys())
+        if len({first[name] for name in common}) > 1 and len({second[name] for name in common}) > 1:
+            found.append(_correlation([first[name] for name in common], [second[name] for name in common]))
+    return found
+
+
+def _correlation(first: list[float], second: list[float]) -> float:
+    """Pearson's r of the average ranks."""
+    x, y = rankdata(first), rankdata(second)
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y / ((x @ x) * (y @ y)) ** 0.5)
+
+
+def regret(scores: Scores) -> tuple[str, float, float]:
+    """(best fixed contract, share of feasible seeds it fails, mean extra Δ over the seed's best where it succeeds).
+
+    The best fixed contract succeeds on most seeds, then has the least mean Δ there.
+    """
+    feasible = {seed: line for seed, line in scores.items() if min(line.values()) < FAILED}
+    if not feasible:
+        return "", 0.0, 0.0
+    contracts = set.intersection(*(set(line) for line in feasible.values()))
+
+    def merit(name: str) -> tuple[int, float, str]:
+        values = [line[name] for line in feasible.values() if line[name] < FAILED]
+        return -len(values), mean(values) if values else FAILED, name
+
+    best = min(contracts, key=merit)
+    where = [line for line in feasible.values() if line[best] < FAILED]
+    extra = mean(line[best] - min(line.values()) for line in where) if where else 0.0
+    return best, 1.0 - len(where) / len(feasible), extra
+
+
+@dataclass(frozen=True, slots=True)
+class Learnable:
+    """The four parts of the bar for one family at one speed."""
+
+    family: str
+    speed: float
+    seeds: int
+    contracts: int
+    episodes: int
+    successes: int
+    ratios: list[float]
+    spearmans: list[float]
+    best_fixed: str
+    regret_success: float
+    regret_delta: float
+
+    @property
+    def parts(self) -> dict[str, bool]:
+        """Each part of the bar."""
+        return {
+            "threefold": bool(self.ratios) and median(self.ratios) >= RATIO,
+            "repeats": bool(self.spearmans) and median(self.spearmans) >= SPEARMAN,
+            "success varies": 0 < self.successes < self.episodes,
+            "regret": self.regret_success > 0.0 or self.regret_delta > 0.0,
+        }
+
+    @property
+    def words(self) -> str:
+        """Met, or which parts are not."""
+        missed = [name for name, met in self.parts.items() if not met]
+        return "missed: " + ", ".join(missed) if missed else "met"
+
+    @property
+    def ratio_words(self) -> str:
+        """Median over seeds, then the range."""
+        return _spread(self.ratios, "{:.1f}")
+
+    @property
+    def rank_words(self) -> str:
+        """Median over pairs of seeds, then the range."""
+        return _spread(self.spearmans, "{:.2f}")
+
+    @property
+    def regret_words(self) -> str:
+        """In success and in Δ, and whose."""
+        if not self.best_fixed:
+            return "no contract succeeds"
+        return f"{self.regret_success:.0%} of feasible seeds failed, Δ +{self.regret_delta:.4f} ({self.best_fixed})"
+
+
+def _spread(values: list[float], form: str) -> str:
+    if not values:
+        return "undefined"
+    low, middle, high = (form.format(value) for value in (min(values), median(values), max(values)))
+    return f"{middle} ({low}–{high}, n={len(values)})"
+
+
+def verdicts(tables: dict[tuple[str, float], Scores]) -> list[Learnable]:
+    """One verdict a family and speed, families in order."""
+    found: list[Learnable] = []
+    for family, speed in sorted(tables, key=lambda key: (FAMILIES.index(key[0]), key[1])):
+        scores = tables[family, speed]
+        values = [value for line in scores.values() for value in line.values()]
+        good = sum(value < FAILED for value in values)
+        contracts = len({name for line in scores.values() for name in line})
+        figures = (ratios(scores), spearmans(scores), *regret(scores))
+        found.append(Learnable(family, speed, len(scores), contracts, len(values), good, *figures))
+    return found
