@@ -27,6 +27,7 @@ from dualbrain.cli.lookout import Lookout
 from dualbrain.dashboard.report import write_report
 from dualbrain.records import Episode
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Event
 
 STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red"}
@@ -47,7 +48,9 @@ def carry_out(
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
-    console.print(f"[bold]{escape(instruction) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]")
+    console.print(
+        f"[bold]{escape(storable(instruction, 400)) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]"
+    )
     with Session(config, times, os.environ) as session:
         lookout = Lookout(session, port, console) if view else None
         album = Album(session.plant, console, NO_GRAPHICS)

@@ -23,6 +23,7 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.storable import storable
 from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
@@ -79,7 +80,7 @@ def run_episode(
         verdict, gate_s = thinking.timed(
             lambda text=proposal, stamp=stamp: _check(gate, text, names, layer.state.stamp, stamp)
         )
-        attempts.append(Attempt(proposal, verdict, gate_s))
+        attempts.append(Attempt(msgspec.structs.replace(proposal, text=storable(proposal.text)), verdict, gate_s))
         layer.log.attempt(layer.state.stamp, attempts[-1])
         layer.log.note(layer.state.stamp, "verdict", _verdict_words(shot, verdict))
         if isinstance(verdict, Accepted):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -31,6 +31,7 @@ from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.storable import storable
 from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
 from dualbrain.runtime.trace import Event, Trace
 from dualbrain.safety.filter import SafetyFilter
@@ -105,7 +106,7 @@ class Session:
 
         A `planner` that is handed in serves this session and stays open; otherwise the configured one is opened.
         """
-        self.config, self.times = config, times
+        self.config, self.times = replace(config, instruction=storable(config.instruction)), times
         self._stack = ExitStack()
         self._interrupted = False
         try:

@@ -1,0 +1,97 @@
+"""What the stories share: contracts as text, a session in a folder of its own, and what it left there."""
+
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.cli.folders import cache
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.records import Episode
+from dualbrain.runtime import session as session_module
+from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.vocabulary import vocabulary
+
+REGISTRY = vocabulary("panda").hash
+WORDS = "put the red cube in the bowl"
+GRASP = {
+    "object": "red_cube", "speed": 0.25, "clearance": 0.1, "finger_axis": "along", "opening": 0.07, "approach": "top",
+    "wait": "none", "force": 20.0,
+}  # fmt: skip
+PLACE = {"destination": "blue_bowl", "speed": 0.25, "clearance": 0.12, "route": "direct", "wait": "none"}
+
+
+def contract(*actions, robot="panda", registry=REGISTRY, id="c-0001"):
+    """The text of a contract from (skill, parameters) pairs."""
+    sequence = [{"skill": skill, "params": params} for skill, params in actions]
+    return json.dumps({"id": id, "context": {"robot": robot, "registry": registry}, "action_sequence": sequence})
+
+
+def pause(duration=0.5):
+    """A contract that is good on every scene and soon over."""
+    return contract(("hold", {"duration": duration}))
+
+
+def decline(reason="there is no such thing here"):
+    return contract(("decline", {"reason": reason}))
+
+
+@dataclass
+class Story:
+    """A finished run: what was returned, what the planner was asked, what the folder holds."""
+
+    finished: Finished
+    planner: ScriptedPlanner
+    config: RunConfig
+    interrupted: tuple
+    moved: float
+
+    @property
+    def episode(self) -> Episode:
+        return self.finished.episode
+
+    @property
+    def written(self) -> Episode:
+        """The episode as it lies on disk."""
+        return msgspec.json.decode(self.config.out.joinpath("episode.json").read_bytes(), type=Episode)
+
+
+def settings(folder: Path, name="run", **changes) -> RunConfig:
+    start = RunConfig(WORDS, folder / name, folder / "ledger.sqlite", cache(), scene="bare:0", visuals=False)
+    return replace(start, **changes)
+
+
+def times() -> Times:
+    return Times(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
+
+
+def play(config: RunConfig, *answers: str, finish="stop", onlooker=None, before=None) -> Story:
+    """Run a session whose planner gives `answers`; `before(session)` may prepare it."""
+    planner = ScriptedPlanner(answers, finish_reason=finish)
+    usual, session_module.PLANNING_TIME = session_module.PLANNING_TIME, 0.02
+    try:
+        with Session(config, times(), {}, planner) as session:
+            if before:
+                before(session)
+            start = session.plant.read().q
+            finished = session.run(onlooker or Onlooker())
+            moved = float(abs(session.plant.read().q - start).max())
+            return Story(finished, planner, config, session.interrupted, moved)
+    finally:
+        session_module.PLANNING_TIME = usual
+
+
+def ledger_episodes(path: Path) -> list[dict]:
+    """The episodes that a ledger holds, and the proof that its chain is whole."""
+    with LedgerReader(path) as ledger:
+        assert ledger.verify().whole
+        return [msgspec.json.decode(event.payload) for event in ledger.events("kind = 'episode'")]
+
+
+def ledger_kinds(path: Path) -> list[str]:
+    with LedgerReader(path) as ledger:
+        assert ledger.verify().whole
+        return [event.kind for event in ledger.events()]
