@@ -120,6 +120,7 @@ class Session:
         _check_folder(config.out)
         self.body = load_body(config.robot)
         self.spec = open_scene(config.scene)
+        goal = goal_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
         self.planner = planner or self._open_planner(environ)
         if planner is None:
@@ -132,7 +133,6 @@ class Session:
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),)))
         self.plant = Plant(self.spec, self.body, visuals=config.visuals)
         perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
-        goal = goal_of(config.goal, self.spec) if config.goal else None
         self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.times.pace)
         self.interrupted: tuple[InterruptedRun, ...] = ()
 
