@@ -11,22 +11,27 @@ import signal
 import time
 import traceback
 from collections.abc import Iterable, Iterator
+from functools import partial
+from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from proofs.proof import Row, Unit
+from proofs.proof import Proof, Row, Unit
 
 SPAWN = get_context("spawn")
 
 
-def carry_out(name: str, units: Iterable[Unit], jobs: int, niceness: int) -> Iterator[Row]:
-    """The rows of `units` of the proof `name`, as they are done by `jobs` processes."""
+def carry_out(
+    name: str, units: Iterable[Unit], jobs: int, niceness: int, catalogue: str = "proofs.catalogue"
+) -> Iterator[Row]:
+    """The rows of `units` of the proof `name`, as they are done by `jobs` processes; `catalogue` is a module's name."""
+    hire = partial(_hire, name, niceness, catalogue)
     left = iter(units)
     busy: dict[Connection, tuple[BaseProcess, Unit]] = {}
     try:
         for unit in (unit for _ in range(jobs) for unit in [next(left, None)] if unit):
-            _hand(busy, *_hire(name, niceness), unit)
+            _hand(busy, *hire(), unit)
         while busy:
             for pipe in list(wait(list(busy))):
                 process, unit = busy.pop(pipe)
@@ -41,7 +46,7 @@ def carry_out(name: str, units: Iterable[Unit], jobs: int, niceness: int) -> Ite
                     worker = pipe, process
                 following = next(left, None)
                 if following:
-                    _hand(busy, *(worker or _hire(name, niceness)), following)
+                    _hand(busy, *(worker or hire()), following)
                 elif worker:
                     pipe.close()
     finally:
@@ -49,9 +54,9 @@ def carry_out(name: str, units: Iterable[Unit], jobs: int, niceness: int) -> Ite
             process.terminate()
 
 
-def _hire(name: str, niceness: int) -> tuple[Connection, BaseProcess]:
+def _hire(name: str, niceness: int, catalogue: str) -> tuple[Connection, BaseProcess]:
     ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_work, args=(theirs, name, niceness), daemon=True)
+    process = SPAWN.Process(target=_work, args=(theirs, name, niceness, catalogue), daemon=True)
     process.start()
     theirs.close()
     return ours, process
@@ -62,12 +67,11 @@ def _hand(busy: dict, pipe: Connection, process: BaseProcess, unit: Unit) -> Non
     pipe.send(unit)
 
 
-def _work(pipe: Connection, name: str, niceness: int) -> None:
+def _work(pipe: Connection, name: str, niceness: int, catalogue: str) -> None:
     """The life of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     os.nice(niceness)
-    from proofs.catalogue import PROOFS  # noqa: PLC0415  (heavy)
-
+    proof: Proof = import_module(catalogue).PROOFS[name]
     while True:
         try:
             unit: Unit = pipe.recv()
@@ -75,7 +79,7 @@ def _work(pipe: Connection, name: str, niceness: int) -> None:
             return
         began = time.monotonic()
         try:
-            row = PROOFS[name].run(unit.about)
+            row = proof.run(unit.about)
         except Exception as error:
             row = {"error": f"{type(error).__name__}: {error}"[:400], "traceback": traceback.format_exc()[-2000:]}
         load = round(os.getloadavg()[0], 2)

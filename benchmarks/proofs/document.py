@@ -41,7 +41,7 @@ def provenance(rows: list[Row]) -> str:
     hours = sum(row.get("wall_s", 0.0) for row in rows) / 3600
     busy = f", median load {median(loads):.1f}" if loads else ""
     return (
-        f"*{len(rows)} units, {days}; revision {revisions} (+: with uncommitted changes, their hash); {machine()}{busy}; "
+        f"*{len(rows)} units, {days}; revision {revisions} (+: with uncommitted changes); {machine()}{busy}; "
         f"{hours:.1f} h of workers; intervals: Wilson, 95 %. Rendered {time.strftime('%Y-%m-%d', time.gmtime())}.*"
     )
 

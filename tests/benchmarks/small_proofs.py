@@ -1,0 +1,16 @@
+"""A proof for the tests of the crew: it doubles, breaks or dies."""
+
+import os
+
+
+class Doubling:
+    name = "doubling"
+    claim = "2 n = n + n"
+
+    def run(self, about):
+        if about.get("die"):
+            os._exit(9)
+        return {"double": about["n"] + about["n"], "inverse": 1 / about["n"]}
+
+
+PROOFS = {"doubling": Doubling()}

@@ -1,0 +1,59 @@
+"""A seeded sample of the big proofs, and the shape of all of them."""
+
+import pytest
+from proofs.bare import Bare
+from proofs.catalogue import PROOFS
+from proofs.closed_loop import kinds, succeeded
+from proofs.picks import Picks, choices
+from proofs.proof import Options
+from proofs.runs import Contrast, Retold, Runs
+from proofs.sweep import Sweep
+
+from dualbrain.world.scenes import make_scene
+
+SAMPLE = (0, 7, 13, 19, 26, 33)
+
+
+@pytest.mark.parametrize("proof", [proof for proof in PROOFS.values() if proof.name != "kernel"], ids=lambda p: p.name)
+def test_keys_are_unique_and_the_order_is_fixed(proof, tmp_path):
+    options = Options(tmp_path, "nobody")
+    keys = [unit.key for unit in proof.units(options)]
+    assert len(keys) == len(set(keys))
+    assert keys == [unit.key for unit in proof.units(options)]
+
+
+def test_sizes(tmp_path):
+    options = Options(tmp_path, "nobody")
+    assert len(Runs().units(options)) == 60
+    assert len(Picks().units(options)) == 40
+    assert Contrast().units(options) == []
+    per_scene = [unit for unit in Sweep().units(options) if unit.about["seed"] == 0 and unit.about["family"] == "tall"]
+    assert len([unit for unit in per_scene if unit.about["parameters"]["speed"] == 0.2]) >= 24
+
+
+def test_what_is_picked_stands_free_and_differs():
+    ranked = [choices(make_scene("tabletop", seed)) for seed in range(10)]
+    assert all(line[0][0] >= 0.08 for line in ranked)
+    assert all(name != "blue_bowl" for line in ranked for _, name, _ in line)
+
+
+def test_six_seeded_picks():
+    proof = Picks()
+    rows = [{"key": str(seed), **proof.run({"seed": seed})} for seed in SAMPLE]
+    assert [row["key"] for row in rows if not row["truth"]] == []
+    assert not kinds(rows)
+
+
+def test_two_seeded_bare_contracts_are_left_alone(tmp_path):
+    proof = Bare()
+    quick = [unit for unit in proof.units(Options(tmp_path, "")) if unit.about["parameters"]["speed"] == 0.4][:2]
+    for unit in quick:
+        row = proof.run(unit.about)
+        assert succeeded(row), row["reason"]
+        assert row["delta_max"] == 0.0
+
+
+def test_retold_answers_come_in_order():
+    planner = Retold([["a", "length"], ["b", "stop"]])
+    said = [planner.propose(None) for _ in range(2)]
+    assert [(answer.text, answer.finish_reason) for answer in said] == [("a", "length"), ("b", "stop")]
