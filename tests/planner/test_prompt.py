@@ -12,8 +12,8 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.embodiment.body import load_body
 from dualbrain.planner import prompt
-from dualbrain.planner.examples import WORKED_EXAMPLES
-from dualbrain.planner.prompt import Message, header, render, template_hash
+from dualbrain.planner.examples import DECLINING, FETCHING, WORKED_EXAMPLES, WorkedExample, fitting
+from dualbrain.planner.prompt import MAX_EXEMPLARS, Message, header, render, template_hash
 from dualbrain.records import Recall
 from dualbrain.skills.vocabulary import arm_registry
 from tests.planner.questions import REGISTRY, exemplar, request
@@ -28,7 +28,7 @@ def text_of(messages: list[Message]) -> str:
 def test_the_unchanging_part_comes_first() -> None:
     one = render(request("put the red cube in the bowl"))
     two = render(request("go home", scene="robot panda; holding red_cube", contract_id="c-0099"))
-    assert one[:-1] == two[:-1]
+    assert one[:3] == two[:3]  # the system's words and the first example
     assert one[-1] != two[-1]
 
 
@@ -40,16 +40,18 @@ def test_names_of_one_scene_do_not_change_the_system_message() -> None:
 
 def test_turns_alternate_and_end_with_the_question() -> None:
     roles = [message["role"] for message in render(request())]
-    assert roles == ["system", *("user", "assistant") * len(WORKED_EXAMPLES), "user"]
+    assert roles == ["system", *("user", "assistant") * MAX_EXEMPLARS, "user"]
 
 
-def test_memory_takes_the_place_of_the_built_in_examples_best_last() -> None:
-    recall = Recall(exemplars=(exemplar("best", rank=1), exemplar("second", rank=2)))
+def test_memory_stands_after_the_built_in_examples_best_last() -> None:
+    recall = Recall(exemplars=(exemplar("best", rank=1), exemplar("second", rank=2), exemplar("third", rank=3)))
     messages = render(request(recall=recall))
-    assert len(messages) == 2 + 2 * len(recall.exemplars)
-    assert "second" in messages[1]["content"]
-    assert "best" in messages[3]["content"]
-    assert json.loads(messages[4]["content"])["context"] == {"robot": "panda", "registry": REGISTRY.hash}
+    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
+    assert DECLINING.instruction in messages[1]["content"]
+    assert "second" in messages[3]["content"]
+    assert "best" in messages[5]["content"]
+    assert "third" not in text_of(messages)
+    assert json.loads(messages[6]["content"])["context"] == {"robot": "panda", "registry": REGISTRY.hash}
 
 
 @pytest.mark.parametrize(
@@ -58,7 +60,7 @@ def test_memory_takes_the_place_of_the_built_in_examples_best_last() -> None:
 def test_a_memory_without_a_usable_contract_is_left_out(contract: dict[str, object]) -> None:
     messages = render(request(recall=Recall(exemplars=(exemplar("broken", contract=contract),))))
     assert "broken" not in text_of(messages)
-    assert len(messages) == 2 + 2 * len(WORKED_EXAMPLES)
+    assert len(messages) == 2 + 2 * MAX_EXEMPLARS
 
 
 def test_a_warning_is_shown_as_data_and_never_as_an_answer() -> None:
@@ -83,9 +85,24 @@ def test_the_header_is_the_beginning_of_the_contract_that_is_asked_for() -> None
     assert list(whole) == list(request().schema["properties"])
 
 
+@pytest.mark.parametrize("wanted", FETCHING, ids=lambda example: example.instruction)
+def test_the_example_most_like_the_scene_stands_last(wanted: WorkedExample) -> None:
+    thing = wanted.scene.splitlines()[1].partition(":")[0]
+    scene, words = (
+        wanted.scene.replace(thing, "red_cube"),
+        wanted.instruction.replace(thing.replace("_", " "), "red cube"),
+    )
+    alike = fitting(scene, words, MAX_EXEMPLARS)
+    assert len(alike) == MAX_EXEMPLARS
+    assert alike[0] is DECLINING
+    assert alike[-1].actions[0]["params"] | {"object": ""} == wanted.actions[0]["params"] | {"object": ""}
+
+
 def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
     registry: Registry = arm_registry(load_body("panda"))
-    for example, contract in zip(WORKED_EXAMPLES, answers_of_examples(registry), strict=True):
+    for example in WORKED_EXAMPLES:
+        context = {"robot": "panda", "registry": registry.hash}
+        contract = {"id": "c-0001", "context": context, "action_sequence": list(example.actions)}
         names = [line.split(":")[0] for line in example.scene.splitlines() if ": object" in line]
         spots = [line.split(":")[0] for line in example.scene.splitlines() if ": container" in line]
         spots += example.scene.splitlines()[-1].removeprefix("places: ").split(", ")
@@ -93,11 +110,6 @@ def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
         jsonschema_rs.validator_for(schema).validate(contract)
         for action in contract["action_sequence"]:  # the order in which a constrained decoder can write them
             assert list(action["params"]) == [p.name for p in registry.skill(action["skill"]).parameters]
-
-
-def answers_of_examples(registry: Registry) -> list[dict]:
-    messages = render(request(registry_hash=registry.hash))
-    return [json.loads(message["content"]) for message in messages if message["role"] == "assistant"]
 
 
 def test_the_template_hash_follows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:

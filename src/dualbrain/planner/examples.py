@@ -1,10 +1,13 @@
-"""Three worked examples that stand in for memory while it is empty.
+"""Worked examples that stand in for memory while it is empty: the form of a contract, and parameters that suit a scene.
 
-They show the form of a contract and parameters that suit their scenes; their things appear in no scene of the world.
+A small model copies the parameters of the example it read last, so the example whose scene is most like the present one
+comes last. Likeness counts shared symbols of the thing that the instruction names. The things in the examples appear in
+no scene of the world.
 """
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 
@@ -27,51 +30,122 @@ def _place(destination: str, **changed: Any) -> dict[str, Any]:
     return {"skill": "place", "params": params | changed}
 
 
-WORKED_EXAMPLES = (
+def _scene(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
+    return f"robot panda; holding nothing\n{things}\nwhite_tray: container\nperson: {person}\nplaces: {places}"
+
+
+DECLINING = WorkedExample(
+    _scene("brown_jar: object, free_finger_axis along, path_max_height none"),
+    "put the purple cup on the tray",
+    ({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
+)
+
+FETCHING = (
     WorkedExample(
-        scene=(
-            "robot panda; holding nothing\n"
-            "brown_jar: object, neighbour_on_finger_axis none, neighbour_across none, near_edge no\n"
-            "white_tray: container\n"
-            "person: none\n"
-            "places: shelf_front, shelf_back"
-        ),
-        instruction="put the purple cup on the tray",
-        actions=({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
+        _scene("grey_bag: object, free_finger_axis along, path_max_height none"),
+        "bring the grey bag to the tray",
+        (_grasp("grey_bag"), _place("white_tray")),
     ),
     WorkedExample(
-        scene=(
-            "robot panda; holding nothing\n"
-            "grey_box: object, neighbour_on_finger_axis none, neighbour_across tall 3-6cm, near_edge no\n"
-            "brown_jar: object, neighbour_on_finger_axis low 3-6cm, neighbour_across none, near_edge no\n"
-            "white_tray: container\n"
-            "path grey_box to white_tray: path_max_height low, path_blocked_direct no, overhead none\n"
-            "path brown_jar to shelf_front: path_max_height tall, path_blocked_direct yes, overhead none\n"
-            "person: none\n"
-            "places: shelf_front, shelf_back"
+        _scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
+        "the brown jar should go on the tray",
+        (_grasp("brown_jar", finger_axis="across"), _place("white_tray")),
+    ),
+    WorkedExample(
+        _scene(
+            "beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"
         ),
-        instruction="move the grey case to the tray and the brown jar to the front of the shelf",
-        actions=(
-            _grasp("grey_box"),
+        "take the beige mug over to the tray please",
+        (_grasp("beige_mug", clearance=0.2), _place("white_tray", clearance=0.2)),
+    ),
+    WorkedExample(
+        _scene("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
+        "get the brown jar and put it on the tray",
+        (
+            _grasp("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
+            _place("white_tray", clearance=0.3),
+        ),
+    ),
+    WorkedExample(
+        _scene("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
+        "move the grey bag onto the tray",
+        (_grasp("grey_bag", clearance=0.3), _place("white_tray", clearance=0.3)),
+    ),
+    WorkedExample(
+        _scene("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
+        "put the beige mug on the tray",
+        (_grasp("beige_mug", clearance=0.1), _place("white_tray", clearance=0.1, route="near_base")),
+    ),
+    WorkedExample(
+        _scene(
+            "grey_bag: object, free_finger_axis across, neighbour_along low <3cm, "
+            "path_max_height low, overhead over_path"
+        ),
+        "the grey bag goes on the tray",
+        (
+            _grasp("grey_bag", clearance=0.1, finger_axis="across"),
+            _place("white_tray", clearance=0.1, route="near_base"),
+        ),
+    ),
+    WorkedExample(
+        _scene(
+            "ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"
+        ),
+        "put the ivory tin on the tray, watch out for my arm",
+        (
+            _grasp("ivory_tin", clearance=0.2, wait="until_clear"),
+            _place("white_tray", clearance=0.2, wait="until_clear"),
+        ),
+    ),
+    WorkedExample(
+        _scene(
+            "ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"
+        ),
+        "take the ivory tin to the tray",
+        (
+            _grasp("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
+            _place("white_tray", clearance=0.2, wait="until_clear"),
+        ),
+    ),
+    WorkedExample(
+        _scene(
+            "grey_bag: object, free_finger_axis along, path_max_height low\n"
+            "brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height none"
+        ),
+        "move the grey bag to the tray and the brown jar to the front of the shelf, then go home",
+        (
+            _grasp("grey_bag"),
             _place("white_tray"),
             _grasp("brown_jar", finger_axis="across"),
-            _place("shelf_front", clearance=0.2, route="near_base"),
-        ),
-    ),
-    WorkedExample(
-        scene=(
-            "robot panda; holding nothing\n"
-            "orange_tin: object, neighbour_on_finger_axis none, neighbour_across low 3-6cm, near_edge no\n"
-            "white_tray: container\n"
-            "path orange_tin to white_tray: path_max_height low, path_blocked_direct yes, overhead none\n"
-            "person: crossing\n"
-            "places: shelf_front"
-        ),
-        instruction="put the orange can on the tray, then go home",
-        actions=(
-            _grasp("orange_tin", wait="until_clear"),
-            _place("white_tray", route="near_base", wait="until_clear"),
+            _place("shelf_front"),
             {"skill": "home", "params": {"speed": 0.2}},
         ),
     ),
 )
+
+WORKED_EXAMPLES = (DECLINING, *FETCHING)
+
+
+def fitting(scene: str, instruction: str, count: int) -> list[WorkedExample]:
+    """The `count` examples most like `scene` for the thing that `instruction` names, the most alike last."""
+    wanted = _symbols(scene, instruction)
+    ranked = sorted(enumerate(FETCHING), key=lambda pair: (-_likeness(wanted, pair[1]), pair[0]))
+    best = [example for _, example in ranked[: max(0, count - 1)]]
+    return [DECLINING, *best[::-1]][-count:] if count else []
+
+
+def _likeness(wanted: frozenset[str], example: WorkedExample) -> float:
+    """Shared over all symbols (Jaccard)."""
+    symbols = _symbols(example.scene, example.instruction)
+    return len(wanted & symbols) / max(1, len(wanted | symbols))
+
+
+def _symbols(scene: str, instruction: str) -> frozenset[str]:
+    """The symbols of the named thing, of people, and whether several things are asked for."""
+    words = set(re.findall(r"[a-z]+", instruction.lower()))
+    lines = [line for line in scene.splitlines() if ": object" in line]
+    named = [line for line in lines if set(line.split(":")[0].split("_")) <= words]
+    target = max(lines, key=lambda line: len(set(line.split(":")[0].split("_")) & words), default="")
+    symbols = {part.strip() for part in target.partition(": object,")[2].split(",")}
+    symbols |= {line for line in scene.splitlines() if line.startswith("person:")}
+    return frozenset(symbols | ({"several"} if len(named) > 1 else set()))

@@ -6,6 +6,8 @@ class, gap class), what stands or hangs on the way to a container, and where peo
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,7 +34,6 @@ def summarise(scene: Scene, holding: str | None = None) -> str:
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
     lines += [_object_line(scene, thing) for thing in scene.objects if thing.role == "object"]
     lines += [f"{thing.name}: container" for thing in scene.objects if thing.role == "container"]
-    lines += _path_lines(scene)
     lines.append(f"person: {_person(scene)}")
     if scene.places:
         lines.append("places: " + ", ".join(place.name for place in scene.places))
@@ -40,48 +41,62 @@ def summarise(scene: Scene, holding: str | None = None) -> str:
 
 
 def _object_line(scene: Scene, thing: SceneObject) -> str:
-    on_axis = _neighbour(scene, thing, finger_direction(thing, "along"), width(thing, "along"))
-    across = _neighbour(scene, thing, finger_direction(thing, "across"), width(thing, "across"))
-    words = [f"neighbour_on_finger_axis {on_axis}", f"neighbour_across {across}"]
-    if _near_edge(scene, thing):
-        words.append("near_edge")
-    if thing.fragile_limit is not None:
-        words.append("fragile")
-    return f"{thing.name}: object, " + ", ".join(words)
+    """One line: the freer axis for the fingers, neighbours in the thing's own frame, the way to each container."""
+    beside = {axis: _beside(scene, thing, axis) for axis in ("along", "across")}
+    crowd = {axis: max((one.overlap for one in beside[axis]), default=-1.0) for axis in beside}
+    free = min(crowd, key=lambda axis: crowd[axis])
+    words = ["object", f"free_finger_axis {free}"] + (["tight"] if crowd[free] > TIGHT else [])
+    words += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}" for axis, found in beside.items() if found]
+    words += ["near_edge"] if _near_edge(thing) else []
+    words += ["fragile"] if thing.fragile_limit is not None else []
+    words += [_path(scene, thing, container) for container in scene.objects if container.role == "container"]
+    return f"{thing.name}: " + ", ".join(words)
 
 
-def _neighbour(scene: Scene, thing: SceneObject, direction: Array, extent: float) -> str:
-    """Class of the closest standing thing within 45° of the line through `thing` along `direction`."""
-    centre = np.asarray(thing.pose.position)[:2]
-    gaps: list[tuple[float, float]] = []
+class Neighbour(NamedTuple):
+    """What stands beside a thing: height class, gap class, and how far it reaches into the room of the hand [m]."""
+
+    height: int
+    gap: int
+    overlap: float
+
+    def __str__(self) -> str:
+        """For the planner, such as "tall 3-6cm"."""
+        return f"{HEIGHTS[self.height]} {GAPS[self.gap]}"
+
+
+HEIGHTS = ("none", "low", "hand_high", "tall")
+GAPS = (">6cm", "3-6cm", "<3cm")
+HALF_HAND, HALF_FINGERS = 0.125, 0.065
+"""Room that the hand, and below it the open fingers, take along the finger axis from the middle, with margins [m]."""
+HALF_BREADTH = 0.04
+"""Room that the hand takes to either side of the finger axis [m]."""
+TIGHT = -0.01
+"""An overlap above this leaves the hand no air on that axis [m]."""
+
+
+def _beside(scene: Scene, thing: SceneObject, axis: str) -> list[Neighbour]:
+    """Standing things in the strip that a hand needs when its fingers close along `axis` of `thing`."""
+    centre, direction = np.asarray(thing.pose.position)[:2], finger_direction(thing, axis)[:2]
+    found: list[Neighbour] = []
     for other in _standing(scene, thing.name):
-        offset = np.asarray(other.pose.position)[:2] - centre
-        distance = float(np.linalg.norm(offset))
-        if distance > 1e-6 and abs(float(offset @ direction[:2])) >= 0.7 * distance:
-            gaps.append((distance - extent / 2 - _reach(other), top(other)))
-    gaps = [pair for pair in gaps if pair[0] < BESIDE]
-    if not gaps:
-        return "none"
-    gap, height = min(gaps)
-    return f"{_height_class(height)} {'<3cm' if gap < NEAR else '3-6cm' if gap < FAR else '>6cm'}"
+        offset, reach = np.asarray(other.pose.position)[:2] - centre, _reach(other)
+        ahead, aside = abs(float(offset @ direction)), abs(float(direction[0] * offset[1] - direction[1] * offset[0]))
+        gap = ahead - width(thing, axis) / 2 - reach
+        if aside < HALF_BREADTH + reach and gap < BESIDE and ahead > aside:
+            height = _height_class(top(other))
+            room = HALF_FINGERS if height == 1 else HALF_HAND
+            found.append(Neighbour(height, 2 if gap < NEAR else 1 if gap < FAR else 0, room - (ahead - reach)))
+    return found
 
 
-def _path_lines(scene: Scene) -> list[str]:
-    lines: list[str] = []
-    for container in (thing for thing in scene.objects if thing.role == "container"):
-        for thing in (thing for thing in scene.objects if thing.role == "object"):
-            start, end = (np.asarray(end.pose.position)[:2] for end in (thing, container))
-            on_path = [
-                other for other in _standing(scene, thing.name, container.name) if _off(start, end, other) < PATH_WIDTH
-            ]
-            overhead = [other for other in _hanging(scene) if _off(start, end, other) < PATH_WIDTH]
-            height = max((top(other) for other in on_path), default=0.0)
-            lines.append(
-                f"path {thing.name} -> {container.name}: path_max_height {_height_class(height) if on_path else 'none'}, "
-                f"path_blocked_direct {'yes' if height >= HAND_HIGH else 'no'}, "
-                f"overhead {'over_path' if overhead else 'none'}"
-            )
-    return lines
+def _path(scene: Scene, thing: SceneObject, container: SceneObject) -> str:
+    """The way from `thing` to `container`: how high things stand on it, and whether something hangs over it."""
+    start, end = (np.asarray(one.pose.position)[:2] for one in (thing, container))
+    on_path = [other for other in _standing(scene, thing.name, container.name) if _off(start, end, other) < PATH_WIDTH]
+    height = max((_height_class(top(other)) for other in on_path), default=0)
+    overhead = any(_off(start, end, other) < PATH_WIDTH for other in _hanging(scene))
+    return f"path_max_height {HEIGHTS[height]}" + (", overhead over_path" if overhead else "")
 
 
 def _person(scene: Scene) -> str:
@@ -104,8 +119,9 @@ def _hanging(scene: Scene) -> list[SceneObject]:
     return [thing for thing in scene.objects if thing.role == "obstacle" and bottom(thing) >= OVERHEAD]
 
 
-def _height_class(height: float) -> str:
-    return "low" if height < LOW else "hand_high" if height < HAND_HIGH else "tall"
+def _height_class(height: float) -> int:
+    """Index into `HEIGHTS`."""
+    return 1 if height < LOW else 2 if height < HAND_HIGH else 3
 
 
 def _reach(thing: SceneObject) -> float:
@@ -129,8 +145,7 @@ def _off(start: Array, end: Array, thing: SceneObject) -> float:
     return max(0.0, float(np.linalg.norm(centre - start - along * line)) - _reach(thing))
 
 
-def _near_edge(scene: Scene, thing: SceneObject) -> bool:
+def _near_edge(thing: SceneObject) -> bool:
     """Whether the thing's middle is within 6 cm of the edge of the table (x −0.20 … 0.95 m, y ±0.65 m)."""
-    del scene
     x, y, _ = thing.pose.position
     return bool(min(0.95 - x, x + 0.20, 0.65 - y, y + 0.65) < 0.06)

@@ -12,10 +12,12 @@ from dualbrain.skills.journey import arrive, come_down, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, Part, lifted
 from dualbrain.skills.skill import Ending, Status, Story
 
-FINGER_DEPTH = 0.016
-"""How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins to the top."""
+FINGER_DEPTH = {"top": 0.016, "tilted": 0.008, "side": 0.008}
+"""How far below a thing's top the tool may go [m], so that the palm, 37 mm above the tool, keeps the filter's margins."""
 OVER = 0.04
 """Room between finger tips and the top of a thing when passing over it [m]."""
+ENOUGH = 0.011
+"""Fingers that reach this far below a thing's top, and are off its middle by less, may close on it [m]."""
 BRINK = 0.03
 """Height of the finger tips above a thing's top from which they come down gently [m]."""
 
@@ -49,17 +51,17 @@ def spec(body: Body) -> SkillSpec:
     )
 
 
-def grasp_height(body: Body, thing: SceneObject) -> float:
-    """Tool height [m] that holds `thing` around its middle: not below the finger tips' room, not deeper than the palm allows."""
+def grasp_height(body: Body, thing: SceneObject, approach: str) -> float:
+    """Tool height [m] that holds `thing` around its middle, not lower than finger tips and palm allow."""
     low = geometry.bottom(thing) + body.gripper.pad_below_tool + 0.008
     middle = thing.pose.position[2]
-    return max(low, middle, geometry.top(thing) - FINGER_DEPTH)
+    return max(low, middle, geometry.top(thing) - FINGER_DEPTH[approach])
 
 
 def grasp_goal(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Goal | None:
     """The tool pose that grasps `thing`; None when it is out of reach."""
     x, y, _ = thing.pose.position
-    position = np.array([x, y, grasp_height(limb.body, thing)])
+    position = np.array([x, y, grasp_height(limb.body, thing, approach)])
     outward = np.array([x, y, 0.0]) / (np.hypot(x, y) + 1e-9)
     rotations = geometry.grasp_rotations(geometry.finger_direction(thing, finger_axis), approach, outward)
     return limb.goal(position, rotations)
@@ -85,17 +87,20 @@ def story(
         return why
     if why := (yield from _come_near(limb, _above(limb, at, thing, clearance), speed)):
         return why
-    return (yield from _seize(limb, object, at, clearance, speed, force))
+    return (yield from _seize(limb, object, at, approach, clearance, speed, force))
 
 
-def _seize(limb: Limb, name: str, at: Goal, clearance: float, speed: float, force: float) -> Story:
+def _seize(
+    limb: Limb, name: str, at: Goal, approach: str, clearance: float, speed: float, force: float
+) -> Story:  # fmt: skip
     """Down, close, up; the thing is looked at again before going down."""
     thing = limb.see(name)
     x, y, _ = thing.pose.position
-    at = limb.shifted(at, np.array([x, y, grasp_height(limb.body, thing)]))
+    at = limb.shifted(at, np.array([x, y, grasp_height(limb.body, thing, approach)]))
     above = _above(limb, at, thing, clearance)
     brink = _back(limb, at, geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool)
-    if why := (yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")):
+    why = yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")
+    if why and not _around(limb, thing):
         return why
     if why := (yield from limb.close(force)):
         return why
@@ -107,6 +112,14 @@ def _seize(limb: Limb, name: str, at: Goal, clearance: float, speed: float, forc
         limb.holding = None
         return Ending(Status.FAILED, f"lift: {name} slipped from the fingers")
     return Ending(Status.DONE, f"holds {name}")
+
+
+def _around(limb: Limb, thing: SceneObject) -> bool:
+    """Whether the fingers hold enough of `thing` between them to close, though something kept them from the whole way."""
+    tool = limb.senses.tool.position
+    off = float(np.hypot(tool[0] - thing.pose.position[0], tool[1] - thing.pose.position[1]))
+    deep = geometry.top(thing) - (float(tool[2]) - limb.body.gripper.pad_below_tool)
+    return deep > ENOUGH and off < ENOUGH
 
 
 def _above(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:

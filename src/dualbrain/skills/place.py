@@ -20,6 +20,8 @@ OVER_RIM = 0.012
 """Room between what is held and the rim when letting go [m]."""
 BRINK = 0.04
 """How far above its release height a load is lowered gently [m]."""
+AWAY = 0.08
+"""How far the open hand rises before the skill ends [m]."""
 TOUCH_DOWN = 0.004
 """Height above a support at which a thing is let go [m]."""
 
@@ -86,7 +88,7 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         limb.holding = None
         return Ending(Status.FAILED, f"carry: {held.name} was lost on the way")
     yield from limb.open(limb.body.gripper.opening.value)
-    away = lifted(down, max(height, float(down.position[2]) + 0.06))
+    away = lifted(down, float(down.position[2]) + AWAY)
     if why := (yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)):
         return why
     return _look(limb, held.name, destination, point, radius)

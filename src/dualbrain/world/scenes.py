@@ -45,7 +45,7 @@ GLASS = Cylinder(radius=0.024, half_height=0.045)
 
 Height = Literal["low", "hand_high", "tall"]
 HEIGHTS: dict[Height, tuple[float, float]] = {"low": (0.045, 0.065), "hand_high": (0.08, 0.12), "tall": (0.15, 0.23)}
-GAPS: dict[Height, tuple[float, float]] = {"low": (0.04, 0.08), "hand_high": (0.04, 0.08), "tall": (0.055, 0.08)}
+GAPS: dict[Height, tuple[float, float]] = {"low": (0.04, 0.08), "hand_high": (0.04, 0.08), "tall": (0.08, 0.11)}
 NARROW_GAP = (0.02, 0.04)
 COLOURS = ("green", "yellow", "orange", "purple", "teal", "white", "brown", "grey", "pink", "black")
 CATEGORIES: dict[Height, tuple[str, ...]] = {
@@ -127,7 +127,7 @@ def _tall(draft: _Draft) -> None:
     _errand(draft)
     _neighbour(draft, "tall")
     for _ in range(int(draft.rng.choice([1, 2, 3]))):
-        _stand(draft, "tall", x=(0.42, 0.60), y=(-0.09, 0.12), gap=0.05)
+        _stand(draft, "tall", x=(0.42, 0.60), y=(-0.09, 0.12), gap=0.08)
     _scatter(draft, 1, ("low", "hand_high"))
 
 
