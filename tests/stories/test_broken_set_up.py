@@ -223,7 +223,9 @@ def test_a_port_in_use_is_told_and_another_one_serves(tmp_path):
         busy.bind(("127.0.0.1", 0))
         busy.listen()
         port = busy.getsockname()[1]
-        shown = [word for word in start("--scene", "bare:0", "--out", "run", "--port", str(port)) if word != "--headless"]
+        shown = [
+            word for word in start("--scene", "bare:0", "--out", "run", "--port", str(port)) if word != "--headless"
+        ]
         done = outside(tmp_path, *shown, MUJOCO_GL="disable")
     assert f"Port {port} is in use" in done.stderr
     assert "live view: http://127.0.0.1:" in done.stderr
