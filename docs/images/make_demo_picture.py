@@ -58,7 +58,7 @@ def main(path: str) -> None:
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng(0)))
     with Camera(plant, width=1280, height=960, shadows=True) as camera:
         photographer = Photographer(plant, camera)
-        log = FlightLog(Trace(body.n), announce=lambda event: print(f"{event.t:6.2f} s  {event.text}", file=sys.stderr))
+        log = FlightLog(Trace(body.n), announce=lambda event: sys.stderr.write(f"{event.t:6.2f} s  {event.text}\n"))
         layer = LocalLayer(
             body, plant, world, SafetyFilter(body), log, LayerConfig(),
             watch=photographer.moment, phase_changed=world.allow,

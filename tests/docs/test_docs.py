@@ -1,0 +1,136 @@
+"""The documents are true where a machine can tell: snippets run, links lead somewhere, named code and tests exist."""
+
+import ast
+import inspect
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from dualbrain.cli.check import check
+from dualbrain.cli.demo import demo
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.replay import replay
+from dualbrain.cli.run import run
+from dualbrain.cli.schema import schema
+from dualbrain.weights import MANIFEST
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("kernel/**/*.md")])
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+NAMED = re.compile(r"`((?:src|kernel|tests)/[\w./]+\.(?:py|c|h)):([\w.]+)`")
+PLACE = re.compile(r"`((?:src|kernel|tests|docs|examples|benchmarks|vectors)/[\w./]+\.\w+)`")
+
+
+def named(page):
+    return page.relative_to(ROOT).as_posix()
+
+
+def snippets():
+    """One case for every fenced block of Python."""
+    cases = []
+    for page in PAGES:
+        for number, (language, code) in enumerate(FENCE.findall(page.read_text("utf-8")), start=1):
+            if language == "python":
+                cases.append(pytest.param(code, id=f"{named(page)}-{number}"))
+    return cases
+
+
+def on_disk(path):
+    """The file that a page means: `src/room/file.py` is short for `src/dualbrain/room/file.py`."""
+    short = ROOT / re.sub(r"^src/(?!dualbrain/)", "src/dualbrain/", path)
+    return short if short.exists() else ROOT / path
+
+
+@cache
+def defined(path):
+    """Names that a file defines: functions, classes and `Class.method`s of Python, functions of C."""
+    text = path.read_text("utf-8")
+    if path.suffix != ".py":
+        return frozenset(re.findall(r"^[a-z][\w \*]*?\b(\w+)\(", text, re.MULTILINE))
+    found = set()
+    for node in ast.parse(text).body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            found |= {f"{node.name}.{part.name}" for part in node.body if isinstance(part, ast.FunctionDef)}
+    return frozenset(found)
+
+
+def anchors(page):
+    """The anchors of a page's headings, as the usual renderers make them."""
+    headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("code", snippets())
+def test_a_python_snippet_runs(code, capsys):
+    exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
+    assert capsys.readouterr().err == ""
+
+
+def test_there_are_snippets():
+    assert snippets()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_lead_somewhere(page):
+    for target in LINK.findall(FENCE.sub("", page.read_text("utf-8"))):
+        if "://" in target:
+            continue
+        place, _, anchor = target.partition("#")
+        found = (page.parent / place).resolve() if place else page
+        assert found.exists(), f"{named(page)} links to {target}"
+        if anchor:
+            assert anchor in anchors(found), f"{named(page)} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_named_code_and_tests_exist(page):
+    text = page.read_text("utf-8")
+    for path, name in NAMED.findall(text):
+        file = on_disk(path)
+        assert file.is_file(), f"{named(page)} names {path}"
+        assert name in defined(file), f"{named(page)} names {path}:{name}"
+    for path in PLACE.findall(text):
+        assert on_disk(path).exists(), f"{named(page)} names {path}"
+
+
+def test_every_row_about_the_paper_names_code_and_a_test():
+    held = (ROOT / "docs" / "paper.md").read_text("utf-8").split("## Not in this version")[0]
+    rows = [line.split(" | ") for line in held.splitlines() if line.startswith("|")][2:]
+    assert len(rows) > 20
+    for row in rows:
+        if "`pyproject.toml`" not in row[2]:
+            assert NAMED.findall(row[2]), row
+            assert all(path.startswith("tests/") for path, _ in NAMED.findall(row[3])), row
+            assert NAMED.findall(row[3]), row
+
+
+def test_the_readme_names_every_model_with_its_licence():
+    table = (ROOT / "README.md").read_text("utf-8").split("## Licence")[1]
+    for name, file in MANIFEST.items():
+        if not name.endswith("-tokenizer"):
+            row = next(line for line in table.splitlines() if f"`{name}`" in line)
+            assert row.endswith(f"{file.licence} |")
+
+
+def test_the_page_of_commands_knows_every_exit_code():
+    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)} == {int(code) for code in Exit}
+
+
+def test_no_page_names_a_place_of_one_machine():
+    for page in PAGES:
+        assert not re.search(r"(?<![\w.])/(?:work|home|root|tmp|opt)/", page.read_text("utf-8")), named(page)
+
+
+@pytest.mark.parametrize("command", [run, demo, check, schema, replay], ids=lambda command: command.__name__)
+def test_the_page_of_commands_knows_every_option(command):
+    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    section = page.split(f"\n## {command.__name__}\n")[1].split("\n## ")[0]
+    parameters = inspect.signature(command).parameters.values()
+    options = {f"--{parameter.name}" for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
+    assert options <= set(re.findall(r"--\w+", section))

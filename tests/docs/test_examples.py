@@ -1,0 +1,50 @@
+"""The numbered examples run as a newcomer runs them, in seconds, and say what they show."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+
+
+def told(name):
+    """What the example prints."""
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    run = subprocess.run(
+        [sys.executable, "-W", "error", str(ROOT / "examples" / f"{name}.py")],
+        capture_output=True, text=True, encoding="utf-8", env=environment, timeout=120, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert not run.stderr
+    return run.stdout
+
+
+def test_one_contract_passes_the_gate_and_each_stage_stops_one():
+    lines = told("01_gate_a_contract").splitlines()
+    verdicts = [line.split(": ")[1].split(",")[0] for line in lines[2:]]
+    assert verdicts == ["accepted", *(f"rejected at {stage}" for stage in ("syntax", "authorization", "envelope"))]
+
+
+def test_the_filter_lets_the_arm_through_nowhere():
+    text = told("02_filter_five_lines")
+    gaps = [float(line.split("h_min")[1].split("mm")[0]) for line in text.splitlines() if "h_min" in line]
+    assert len(gaps) > 8
+    assert min(gaps) >= 0.0
+    assert "'table'" in text
+    assert "'post'" in text
+
+
+def test_a_given_contract_becomes_motion():
+    text = told("03_run_a_contract")
+    assert "succeeded: red_cube is at blue_bowl" in text
+    assert "simulator truth: success, 0 violations" in text
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short(path):
+    assert len(path.read_text("utf-8").splitlines()) < 100
+    assert f'told("{path.stem}")' in Path(__file__).read_text("utf-8"), "an example without a test"
