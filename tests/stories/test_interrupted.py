@@ -20,7 +20,6 @@ from dualbrain.records import Episode
 from dualbrain.runtime.recording import read_trace, recording_state
 from dualbrain.runtime.replay import replay
 from dualbrain.runtime.session import Onlooker
-
 from tests.once import once
 
 from .rig import GRASP, PLACE, contract, ledger_episodes, ledger_kinds, pause, play, settings

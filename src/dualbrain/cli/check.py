@@ -14,7 +14,7 @@ from dualbrain.errors import InvalidSetup
 
 
 def check(
-    contract: Path,
+    contract: Annotated[Path, Parameter(allow_leading_hyphen=True)],
     /,
     *,
     robot: str = "panda",

@@ -1,0 +1,142 @@
+"""The commands that do not move anything: check, schema, replay, models, doctor, help."""
+
+import io
+import json
+import sys
+
+import jsonschema
+import pytest
+
+from dualbrain.cli.exits import Exit
+from tests.stories.rig import GRASP, PLACE, contract, decline, pause
+
+GOOD = contract(("grasp", GRASP), ("place", PLACE))
+
+
+@pytest.fixture
+def check(tell, tmp_path):
+    """`dualbrain check` on a text; returns (exit code, the printed object)."""
+
+    def run(text, *more):
+        (tmp_path / "contract.json").write_text(text)
+        code, out, err = tell("check", "contract.json", *more)
+        assert err == ""
+        return code, json.loads(out)
+
+    return run
+
+
+def test_check_accepts_with_0_and_says_only_that(check):
+    assert check(GOOD, "--scene", "bare:0") == (Exit.SUCCESS, {"accepted": True})
+
+
+@pytest.mark.parametrize(
+    ("text", "stage", "pointer"),
+    [
+        ("{", "syntax", ""),
+        (GOOD.replace("panda", "ur5e"), "authorization", "/context/robot"),
+        (contract(("throw", {})), "authorization", "/action_sequence/0/skill"),
+        (contract(("grasp", {**GRASP, "force": 900.0})), "envelope", "/action_sequence/0/params/force"),
+        (contract(("grasp", {**GRASP, "object": "table"})), "envelope", "/action_sequence/0/params/object"),
+        (contract(("place", PLACE)), "envelope", "/action_sequence/0/skill"),
+    ],
+)
+def test_check_refuses_with_3_and_says_where(check, text, stage, pointer):
+    code, told = check(text, "--scene", "bare:0")
+    assert code == Exit.REJECTED
+    assert told.keys() == {"accepted", "stage", "pointer", "got", "allowed", "hint"}
+    assert (told["accepted"], told["stage"], told["pointer"]) == (False, stage, pointer)
+
+
+def test_check_of_a_file_that_is_not_there(tell):
+    code, out, err = tell("check", "nope.json")
+    assert (code, out) == (Exit.SETUP, "")
+    assert "nope.json" in err
+
+
+def test_check_reads_standard_input(tell, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(pause().encode())))
+    assert tell("check", "-")[0] == Exit.SUCCESS
+
+
+@pytest.mark.parametrize("form", ["validation", "decoding"])
+def test_schema_is_valid_draft_7_and_accepts_what_check_accepts(tell, form):
+    code, out, _ = tell("schema", "--scene", "bare:0", "--form", form)
+    assert code == Exit.SUCCESS
+    schema = json.loads(out)
+    jsonschema.Draft7Validator.check_schema(schema)
+    if form == "validation":
+        assert schema["$schema"].startswith("http://json-schema.org/draft-07")
+    validator = jsonschema.Draft7Validator(schema)
+    for text in (GOOD, pause(), decline()):
+        validator.validate(json.loads(text))
+    for text in (contract(("grasp", {**GRASP, "force": 900.0})), contract(("throw", {})), "{}"):
+        assert not validator.is_valid(json.loads(text))
+
+
+def test_the_short_form_is_for_people(tell):
+    code, out, _ = tell("schema", "--form", "short")
+    assert code == Exit.SUCCESS
+    assert "grasp" in out
+    assert "m/s" in out
+
+
+def test_replay_of_a_run_is_identical(tell, finished):
+    folder, *_ = finished
+    code, out, err = tell("replay", folder / "run" / "episode.mcap", "--json")
+    told = json.loads(out)
+    assert code == Exit.SUCCESS
+    assert told["identical"]
+    assert told["complete"]
+    assert told["ticks"] > 5000
+    assert "bit for bit" in err
+
+
+def test_replay_of_what_is_no_recording(tell, tmp_path):
+    (tmp_path / "no.mcap").write_bytes(b"hello")
+    for name in ("no.mcap", "missing.mcap"):
+        code, out, err = tell("replay", name)
+        assert (code, out) == (Exit.SETUP, "")
+        assert name in err
+
+
+def test_models_list_names_every_file_with_its_licence(tell):
+    code, out, _ = tell("models", "list")
+    assert code == Exit.SUCCESS
+    for name in ("qwen2.5-coder-1.5b-instruct", "smollm2-135m-instruct", "minilm-l6-v2-int8", "Apache-2.0"):
+        assert name in out
+
+
+def test_an_unknown_model_is_answered_with_the_closest(tell):
+    code, _, err = tell("models", "fetch", "smolm2-135m-instruct")
+    assert code == Exit.SETUP
+    assert "Closest: 'smollm2-135m-instruct'" in err
+
+
+def test_doctor_examines_everything(tell, finished, monkeypatch, tmp_path):
+    folder, *_ = finished
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("DUALBRAIN_HOME", str(folder))
+    code, out, _ = tell("doctor")
+    for word in ("kernel", "filter step", "rendering", "minilm-l6-v2-int8", "memory", "chain whole", "µs"):
+        assert word in out
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
+    code, out, _ = tell("doctor")
+    assert code == Exit.SETUP
+    assert "dualbrain models fetch" in out
+
+
+@pytest.mark.parametrize(
+    "arguments", [("run", "x", "--nonsense"), ("fly",), ("check",), ("run", "x", "--filter", "maybe")]
+)
+def test_wrong_usage_is_2(tell, arguments):
+    code, out, err = tell(*arguments)
+    assert code == Exit.USAGE
+    assert out + err  # it says what is wrong
+
+
+def test_help_lists_every_command(tell):
+    code, out, _ = tell("--help")
+    assert code == Exit.SUCCESS
+    for name in ("run", "demo", "schema", "check", "replay", "doctor", "models"):
+        assert name in out
