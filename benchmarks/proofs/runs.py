@@ -58,7 +58,9 @@ def planner_of(name: str) -> Planner:
     """The planner, opened once a process: a name or URL, or a contract file that answers everything."""
     if name.endswith(".json"):
         return GivenContract(name, Path(name).read_bytes())
-    return open_planner(name, folders.cache(), key=os.environ.get("OPENAI_API_KEY", ""))
+    prefixes = folders.cache() / "prefixes"
+    prefixes.mkdir(parents=True, exist_ok=True)
+    return open_planner(name, folders.cache(), key=os.environ.get("OPENAI_API_KEY", ""), prefixes=prefixes)
 
 
 def episode(scene: str, instruction: str, planner: Planner, *, guard: bool) -> Episode:

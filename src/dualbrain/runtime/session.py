@@ -139,7 +139,10 @@ class Session:
     def _open_planner(self, environ: Mapping[str, str]) -> Planner:
         if self.config.contract:
             return GivenContract(f"file {self.config.contract.name}", self.config.contract.read_bytes())
-        return open_planner(self.config.planner, self.config.cache, key=environ.get("OPENAI_API_KEY", ""))
+        prefixes = self.config.cache / "prefixes"
+        prefixes.mkdir(parents=True, exist_ok=True)
+        key = environ.get("OPENAI_API_KEY", "")
+        return open_planner(self.config.planner, self.config.cache, key=key, prefixes=prefixes)
 
     def run(self, onlooker: Onlooker) -> Finished:
         """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""

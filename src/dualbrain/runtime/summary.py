@@ -68,7 +68,9 @@ class Neighbour(NamedTuple):
 HEIGHTS = ("none", "low", "hand_high", "tall")
 GAPS = (">6cm", "3-6cm", "<3cm")
 HALF_HAND, HALF_FINGERS = 0.125, 0.065
-"""Room that the hand, and below it the open fingers, take along the finger axis from the middle, with margins [m]."""
+"""Room that the palm, and below it the open fingers, take along the finger axis from the middle, with margins [m]."""
+UNDER_PALM = 0.005
+"""What is this much higher than the thing in the hand meets the palm, not only the fingers [m]."""
 HALF_BREADTH = 0.04
 """Room that the hand takes to either side of the finger axis [m]."""
 TIGHT = -0.01
@@ -85,7 +87,7 @@ def _beside(scene: Scene, thing: SceneObject, axis: str) -> list[Neighbour]:
         gap = ahead - width(thing, axis) / 2 - reach
         if aside < HALF_BREADTH + reach and gap < BESIDE and ahead > aside:
             height = _height_class(top(other))
-            room = HALF_FINGERS if height == 1 else HALF_HAND
+            room = HALF_HAND if top(other) > top(thing) + UNDER_PALM else HALF_FINGERS
             found.append(Neighbour(height, 2 if gap < NEAR else 1 if gap < FAR else 0, room - (ahead - reach)))
     return found
 

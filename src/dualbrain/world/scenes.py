@@ -279,10 +279,10 @@ def _fixed(name: str, shape: Box, position: tuple[float, ...]) -> Thing:
 
 
 def _sweep(rng: np.random.Generator) -> Mover:
-    """Across the table in y at 14-20 cm height, resting at both ends; the phase covers the whole cycle."""
+    """Across the table in y at 17-22 cm height, above the low things, resting at both ends; the phase covers the whole cycle."""
     tip, z, speed, pause = (
         rng.uniform(0.44, 0.50),
-        rng.uniform(0.14, 0.20),
+        rng.uniform(0.175, 0.22),
         rng.uniform(0.12, 0.18),
         rng.uniform(2.0, 4.0),
     )
