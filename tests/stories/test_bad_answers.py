@@ -43,10 +43,13 @@ BAD = {
     "a missing field": Bad(json.dumps({"id": "c-0001", "action_sequence": []}), "syntax"),
     "an unknown skill": Bad(contract(("throw", {"object": "red_cube"})), "authorization", "/action_sequence/0/skill"),
     "another robot": Bad(contract(("hold", {"duration": 1.0}), robot="ur5e"), "authorization", "/context/robot"),
-    "an older registry": Bad(contract(("hold", {"duration": 1.0}), registry="deadbeef"), "authorization", "/context/registry"),
+    "an older registry": Bad(
+        contract(("hold", {"duration": 1.0}), registry="deadbeef"), "authorization", "/context/registry"
+    ),
     "an absent thing": Bad(grasp(object="green_frog"), "envelope", "/action_sequence/0/params/object"),
     "an absent place": Bad(
-        contract(("grasp", GRASP), ("place", {**PLACE, "destination": "the_moon"})), "envelope", "/action_sequence/1/params/destination"
+        contract(("grasp", GRASP), ("place", {**PLACE, "destination": "the_moon"})), "envelope",
+        "/action_sequence/1/params/destination",
     ),
     "too fast": Bad(grasp(speed=30.0), "envelope", "/action_sequence/0/params/speed"),
     "too strong": Bad(grasp(force=1e9), "envelope", "/action_sequence/0/params/force"),

@@ -29,7 +29,7 @@ PICK = contract(("grasp", GRASP), ("place", PLACE))
 
 
 def in_the_middle(folder, name, number):
-    """Start a run in `folder`, send it signal `number` while the arm comes down; returns (exit code, stdout, stderr)."""
+    """Run in `folder` and send signal `number` while the arm comes down; returns (exit code, stdout, stderr)."""
     (folder / "pick.json").write_text(PICK)
     command = [sys.executable, "-c", RUN, "run", "put it there", "--contract", "pick.json", "--headless", "--json"]
     command += ["--scene", "bare:0", "--ledger", "ledger.sqlite", "--out", name]
@@ -146,10 +146,12 @@ def test_a_planner_that_raises_stops_the_robot_and_the_run_is_found_by_the_next(
         raise ZeroDivisionError
 
     plants = []
-    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
-        patch.setattr(ScriptedPlanner, "propose", broken)
+    usual = ScriptedPlanner.propose
+    monkeypatch.setattr(ScriptedPlanner, "propose", broken)
+    with pytest.raises(ZeroDivisionError):
         play(settings(tmp_path, "one"), before=lambda session: plants.append(session.plant))
     assert not plants[0].read().drive_enabled
+    monkeypatch.setattr(ScriptedPlanner, "propose", usual)
     (cut,) = play(settings(tmp_path, "two"), pause()).interrupted
     assert cut.run == "one"
 

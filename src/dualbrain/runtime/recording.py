@@ -7,6 +7,7 @@ Every message is JSON. Finite floats round-trip bit for bit (shortest decimal fo
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -163,9 +164,10 @@ def read_trace(path: Path) -> Trace | None:
 
 def _records(path: Path) -> Iterator[tuple[str, bytes]]:
     """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
-    from mcap.exceptions import EndOfFile  # noqa: PLC0415  (reading recordings is rare, importing this module is not)
+    from mcap.exceptions import EndOfFile, McapError  # noqa: PLC0415  (reading is rare, importing this module is not)
     from mcap.records import Channel, Message, Metadata  # noqa: PLC0415
     from mcap.stream_reader import CRCValidationError, StreamReader  # noqa: PLC0415
+    from zstandard import ZstdError  # noqa: PLC0415
 
     topics: dict[int, str] = {}
     data = path.read_bytes()
@@ -181,7 +183,7 @@ def _records(path: Path) -> Iterator[tuple[str, bytes]]:
                 yield METADATA, record.metadata["state"].encode()
     except EndOfFile:
         return
-    except CRCValidationError as error:
+    except (CRCValidationError, McapError, ZstdError, struct.error, KeyError, ValueError) as error:
         raise InvalidSetup("recording", got=str(error), allowed="an undamaged file", fix=str(path)) from error
 
 

@@ -1,0 +1,56 @@
+"""Scenes made by hand, as perceived, for the rules and the summary."""
+
+import msgspec
+import numpy as np
+
+from dualbrain.linalg import matrix
+from dualbrain.records import Bowl, Box, Capsule, HalfSpace, Place, Pose, Scene, SceneObject
+
+TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+
+
+def turned(yaw):
+    return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
+
+
+def box(name, x, y, half=(0.02, 0.02, 0.025), role="object", yaw=0.0, z=None, **facts):
+    height = half[2] if z is None else z
+    return SceneObject(name, role, Box(half), Pose((float(x), float(y), float(height)), turned(yaw)), **facts)
+
+
+def bowl(x=0.5, y=0.26):
+    return SceneObject("blue_bowl", "container", Bowl(0.085, 0.05, 0.004), Pose((float(x), float(y), 0.0)))
+
+
+def forearm(x, y, velocity=(0.0, 0.0, 0.0)):
+    lying = (2**-0.5, 0.0, 2**-0.5, 0.0)
+    return SceneObject("forearm", "person", Capsule(0.045, 0.25), Pose((x, y, 0.2), lying), velocity)
+
+
+def scene(*things, places=()):
+    return Scene("panda", 0.0, 1, (TABLE, *things), tuple(Place(name, at) for name, at in places))
+
+
+def rotated(one, yaw):
+    """`one` with every thing turned about the robot's base by `yaw` [rad]."""
+    turn = matrix(turned(yaw))
+
+    def moved(thing):
+        position = tuple((turn @ np.array(thing.pose.position)).tolist())
+        pose = Pose(position, product(turned(yaw), thing.pose.quaternion))
+        velocity = tuple((turn @ np.array(thing.velocity)).tolist())
+        return msgspec.structs.replace(thing, pose=pose, velocity=velocity)
+
+    return msgspec.structs.replace(one, objects=tuple(moved(thing) for thing in one.objects))
+
+
+def product(a, b):
+    """Hamilton product of two quaternions (w, x, y, z)."""
+    w, x, y, z = a
+    W, X, Y, Z = b
+    return (
+        w * W - x * X - y * Y - z * Z,
+        w * X + x * W + y * Z - z * Y,
+        w * Y - x * Z + y * W + z * X,
+        w * Z + x * Y - y * X + z * W,
+    )
