@@ -30,8 +30,8 @@ def check(
     contract
         The contract's JSON file, or - for standard input.
     """
-    from dualbrain.contracts.verdict import Accepted  # noqa: PLC0415  (heavy)
-    from dualbrain.runtime.desk import check_contract  # noqa: PLC0415
+    from dualbrain.contracts.verdict import Accepted
+    from dualbrain.runtime.desk import check_contract
 
     try:
         data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()

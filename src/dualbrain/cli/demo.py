@@ -27,6 +27,6 @@ def demo(
     scene
         Which world; scene 0 has the crossing forearm.
     """
-    from dualbrain.cli.account import carry_out  # noqa: PLC0415  (heavy)
+    from dualbrain.cli.account import carry_out
 
     return Exit(carry_out(instruction, scene=scene, planner=planner, view=not headless, stay=not headless))

@@ -65,18 +65,18 @@ def _version(name: str) -> str:
 
 
 def _kernel() -> list[Finding]:
-    from dualbrain.safety.native import kernel_hash  # noqa: PLC0415
+    from dualbrain.safety.native import kernel_hash
 
     return [Finding("kernel", True, f"float32, C99, source hash {kernel_hash()}")]
 
 
 def _latency() -> list[Finding]:
-    from dualbrain.embodiment.body import load_body  # noqa: PLC0415
-    from dualbrain.embodiment.robot import at_home  # noqa: PLC0415
-    from dualbrain.runtime.desk import as_specified  # noqa: PLC0415
-    from dualbrain.safety.filter import SafetyFilter  # noqa: PLC0415
-    from dualbrain.safety.obstacles import from_scene  # noqa: PLC0415
-    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
+    from dualbrain.embodiment.body import load_body
+    from dualbrain.embodiment.robot import at_home
+    from dualbrain.runtime.desk import as_specified
+    from dualbrain.safety.filter import SafetyFilter
+    from dualbrain.safety.obstacles import from_scene
+    from dualbrain.world.catalogue import open_scene
 
     body = load_body("panda")
     safety, state = SafetyFilter(body), at_home(body)
@@ -95,10 +95,10 @@ def _latency() -> list[Finding]:
 
 def _rendering() -> list[Finding]:
     why = choose_graphics(os.environ)
-    from dualbrain.embodiment.body import load_body  # noqa: PLC0415
-    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
-    from dualbrain.world.pictures import PACKAGES, Camera  # noqa: PLC0415
-    from dualbrain.world.plant import Plant  # noqa: PLC0415
+    from dualbrain.embodiment.body import load_body
+    from dualbrain.world.catalogue import open_scene
+    from dualbrain.world.pictures import PACKAGES, Camera
+    from dualbrain.world.plant import Plant
 
     if why:
         return [Finding("rendering", False, f"{why}. Debian: apt-get install --no-install-recommends {PACKAGES}")]
@@ -118,7 +118,7 @@ def _models() -> list[Finding]:
 
 
 def _memory() -> list[Finding]:
-    from dualbrain.memory.ledger import LedgerReader  # noqa: PLC0415
+    from dualbrain.memory.ledger import LedgerReader
 
     path: Path = home() / "ledger.sqlite"
     if not path.exists():

@@ -26,6 +26,7 @@ class Lookout:
     def __init__(self, session: Session, port: int, console: Console) -> None:
         """Open the view and say where it is."""
         self._body = session.body
+        self._plant = session.plant
         self._kinematics = SafetyFilter(session.body)
         self._view = LiveView(session.body, port, instruction=session.config.instruction)
         self._lines: deque[str] = deque(maxlen=LINES)
@@ -55,7 +56,7 @@ class Lookout:
             "speed": float(np.linalg.norm(result.u)), "elapsed": state.stamp,
             "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name, "planner": "",
         }  # fmt: skip
-        frames = self._kinematics.frames(state.q, state.opening)
+        frames = self._plant.link_poses()
         self._view.show(
             ViewState(state.stamp, frames, moment.scene, centres, radii, numbers=numbers, lines=tuple(self._lines))
         )

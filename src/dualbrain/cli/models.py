@@ -29,10 +29,10 @@ def fetch(*names: str) -> int:
     Parameters
     ----------
     names
-        Names from `dualbrain models list`; a URL of a server needs no weights and is passed over.
+        Names from `dualbrain models list`; the URL of a server or a GGUF file needs no weights and is passed over.
     """
     for name in names:
-        if "://" not in name:
+        if "://" not in name and not name.endswith(".gguf"):
             _fetch_one(name)
     return Exit.SUCCESS
 
@@ -48,5 +48,5 @@ def _fetch_one(name: str) -> None:
     )
     with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(name, total=file.size)
-        path = weights.fetch(name, cache(), lambda done, total: bar.update(task, completed=done, total=total))
+        path = weights.fetch(name, cache(), progress=lambda done, total: bar.update(task, completed=done, total=total))
     print(f"{name}: {path} ({file.licence}, sha256 {file.sha256[:12]}… verified)", file=sys.stderr)

@@ -22,7 +22,7 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.runtime.replay import replay as compute_again  # noqa: PLC0415  (heavy)
+    from dualbrain.runtime.replay import replay as compute_again
 
     result = compute_again(recording)
     if json:

@@ -52,7 +52,7 @@ def run(
     headless
         No live view.
     out
-        Run folder; default runs/<UTC stamp>-<id>.
+        Run folder; default: a new one in runs/, named after the time.
     ledger
         Memory to use; default in dualbrain's home.
     seed
@@ -62,7 +62,7 @@ def run(
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.cli.account import carry_out  # noqa: PLC0415  (heavy)
+    from dualbrain.cli.account import carry_out
 
     if not instruction.strip() and contract is None:
         raise InvalidSetup(

@@ -27,15 +27,15 @@ def schema(
     scene
         The scene whose object and place names are offered: a number or a scene file.
     form
-        `validation` is what the gate enforces, `decoding` what constrained decoders are given, `short` what the prompt says.
+        `validation` is what the gate enforces, `decoding` what constrained decoders get, `short` what the prompt says.
     """
-    from dualbrain.runtime.vocabulary import spec_names, vocabulary  # noqa: PLC0415  (heavy)
-    from dualbrain.world.catalogue import open_scene  # noqa: PLC0415
+    from dualbrain.runtime.vocabulary import spec_names, vocabulary
+    from dualbrain.world.catalogue import open_scene
 
     registry = vocabulary(robot)
     names = spec_names(open_scene(scene))
     if form == "short":
-        from dualbrain.contracts.schema import short_form  # noqa: PLC0415
+        from dualbrain.contracts.schema import short_form
 
         print(short_form(registry, names))
     else:

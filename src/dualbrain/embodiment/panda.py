@@ -35,7 +35,9 @@ JOINTS: tuple[tuple[Vector, str, float, float, float, float], ...] = (
 HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
 PERIOD = 0.001
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
-TRACKING = Tracking(0.002, 0.03, "MuJoCo plant from home: sine and bang-bang at half speed, largest residual of one common lag")
+TRACKING = Tracking(
+    0.002, 0.03, "MuJoCo plant from home: sine and bang-bang at half speed, largest residual of one common lag"
+)
 TOOL = Tool("hand", (0.0, 0.0, 0.1034))
 
 FINGER_LENGTH = 0.0538

@@ -43,24 +43,24 @@ DECLINING = WorkedExample(
 FETCHING = (
     WorkedExample(
         _scene("grey_bag: object, free_finger_axis along, path_max_height none"),
-        "bring the grey bag to the tray",
+        "could you move the grey bag over to the tray, please?",
         (_grasp("grey_bag"), _place("white_tray")),
     ),
     WorkedExample(
         _scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
-        "the brown jar should go on the tray",
+        "the brown jar should go on the tray, can you move it there?",
         (_grasp("brown_jar", finger_axis="across"), _place("white_tray")),
     ),
     WorkedExample(
         _scene(
             "beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"
         ),
-        "take the beige mug over to the tray please",
+        "please move the beige mug over onto the tray",
         (_grasp("beige_mug", clearance=0.2), _place("white_tray", clearance=0.2)),
     ),
     WorkedExample(
         _scene("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
-        "get the brown jar and put it on the tray",
+        "could you move that brown jar over to the tray?",
         (
             _grasp("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
             _place("white_tray", clearance=0.3),
@@ -73,7 +73,7 @@ FETCHING = (
     ),
     WorkedExample(
         _scene("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
-        "put the beige mug on the tray",
+        "would you move the beige mug over to the tray?",
         (_grasp("beige_mug", clearance=0.1), _place("white_tray", clearance=0.1, route="near_base")),
     ),
     WorkedExample(
@@ -81,7 +81,7 @@ FETCHING = (
             "grey_bag: object, free_finger_axis across, neighbour_along low <3cm, "
             "path_max_height low, overhead over_path"
         ),
-        "the grey bag goes on the tray",
+        "the grey bag goes on the tray, move it over please",
         (
             _grasp("grey_bag", clearance=0.1, finger_axis="across"),
             _place("white_tray", clearance=0.1, route="near_base"),
@@ -91,7 +91,7 @@ FETCHING = (
         _scene(
             "ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"
         ),
-        "put the ivory tin on the tray, watch out for my arm",
+        "could you move the ivory tin over onto the tray? watch out for my arm",
         (
             _grasp("ivory_tin", clearance=0.2, wait="until_clear"),
             _place("white_tray", clearance=0.2, wait="until_clear"),
@@ -101,7 +101,7 @@ FETCHING = (
         _scene(
             "ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"
         ),
-        "take the ivory tin to the tray",
+        "the ivory tin belongs on the tray, please move it over",
         (
             _grasp("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
             _place("white_tray", clearance=0.2, wait="until_clear"),

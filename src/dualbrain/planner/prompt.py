@@ -43,7 +43,8 @@ Skills (numbers in SI units, all parameters must be given):
 {skills}
 
 Rules:
-- To put, move, bring or drop a thing somewhere: grasp it, then place it there. move_to only moves the empty hand.
+- To put, move, bring or drop a thing somewhere: always grasp it first, then place it there. move_to is only for \
+looking at a thing from above with an empty hand.
 - Use only names that are in the scene. People use loose words: "the green block" is green_cube, a "dish" is a bowl. \
 Choose the thing whose colour and kind fit.
 - If a thing or place that is asked for is not in the scene, or no skill can do what is asked, or it would harm \

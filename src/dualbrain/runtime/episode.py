@@ -54,7 +54,8 @@ class Witness:
 
 
 def run_episode(
-    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness, *, now: float
+    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness, *,
+    now: float,
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes."""
     registry = vocabulary(layer.body.name)
@@ -91,7 +92,8 @@ def run_episode(
         witness.begin(contract)
     outcome = layer.run(contract) if contract else _unmoved(layer, len(attempts), verdict)
     episode = Episode(
-        errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary, recall,
+        errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary,
+        recall,
         tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
         _timings(attempts, outcome), witness.versions,
     )  # fmt: skip

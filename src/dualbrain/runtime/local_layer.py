@@ -68,7 +68,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class LayerConfig:
-    """`guard` False writes the nominal control unfiltered (the paper's baselines); looks come every `look_every` ticks."""
+    """`guard` False writes the nominal control unfiltered (the paper's B1); a look comes every `look_every` ticks."""
 
     guard: bool = True
     look_every: int = 33
@@ -150,11 +150,12 @@ class LocalLayer:
         ending = self._carry_out(running, index)
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
         kinds: dict[Status, OutcomeClass] = {
-            Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over", Status.RUNNING: "stopped",
+            Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over",
+            Status.RUNNING: "stopped",
         }  # fmt: skip
         status = "stopped" if ending.status is Status.RUNNING else ending.status.value
         kind = "aborted" if ending is INTERRUPTED else kinds[ending.status]
-        Delta = self.log.Delta(first)
+        Delta = self.log.mean_delta(first)
         return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
 
     def _carry_out(self, running: Running, index: int) -> Ending:

@@ -58,7 +58,7 @@ class FlightLog:
         if self.recorder:
             self.recorder.attempt(t, attempt)
 
-    def Delta(self, first: int) -> float:
+    def mean_delta(self, first: int) -> float:
         """Mean δ_t over the ticks from index `first` on; 0 without ticks (paper 4.4)."""
         delta = self.trace["delta"][first:]
         return float(np.mean(delta)) if len(delta) else 0.0

@@ -1,6 +1,6 @@
-"""Replay: compute every control again from the recorded inputs and compare bit for bit.
+"""Replay: every control computed again from the recorded inputs, compared bit for bit.
 
-Playing back recorded controls would prove nothing. Here a fresh filter gets the recorded calls and states in their order
+Playing back recorded controls would prove nothing. Here a fresh filter gets the recorded calls and states in order
 and must arrive at the same u, δ and h, to the last bit.
 """
 

@@ -93,7 +93,7 @@ class Finished:
     episode: Episode
     stored: StoreReport
     trace: Trace
-    files: Mapping[str, Path] = field(default_factory=dict)
+    files: Mapping[str, Path] = field(default_factory=dict[str, Path])
 
 
 class Session:
@@ -171,9 +171,14 @@ class Session:
 
     def _episode(self, log: FlightLog, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
         config, world = self.config, self.world
+
+        def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
+            world.allow(phase, roles)
+            onlooker.phase(phase)
+
         layer = LocalLayer(
             self.body, self.plant, world, SafetyFilter(self.body), log, LayerConfig(guard=config.guard),
-            watch=onlooker.moment, phase_changed=lambda phase, roles: (world.allow(phase, roles), onlooker.phase(phase)),
+            watch=onlooker.moment, phase_changed=phase_changed,
             interrupted=lambda: self._interrupted,
         )  # fmt: skip
         given = config.contract is not None

@@ -15,13 +15,14 @@ WATCH_EVERY = 50
 """Ticks between two glances of the referee."""
 
 ALLOWANCES = {
-    "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release", "retreat": "retreat",
+    "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release",
+    "retreat": "retreat",
 }  # fmt: skip
 """What the monitor calls the phases of our skills in which something may be touched."""
 
 
 class SimulatedWorld:
-    """A plant seen through a perception model; a monitor and a referee know the truth and say nothing before the end."""
+    """A plant seen through a perception model; monitor and referee know the truth and say nothing before the end."""
 
     def __init__(
         self,

@@ -28,7 +28,7 @@ class Steady:
         self._seen: dict[str, tuple[float, NDArray[np.float64]]] = {}
 
     def update(self, scene: Scene, unsteady: Collection[str] = ()) -> Scene:
-        """`scene` with the positions of things at rest averaged; those in `unsteady` (in the hand, just let go) as seen."""
+        """`scene` with the positions of things at rest averaged; those in `unsteady` (held, just let go) as seen."""
         for name in unsteady:
             self._seen.pop(name, None)
         return msgspec.structs.replace(

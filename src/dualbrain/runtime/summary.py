@@ -1,4 +1,4 @@
-"""The scene in symbols: classes computed locally, in each target's own frame, because a small model cannot compare numbers.
+"""The scene in symbols, computed locally in each target's own frame: a small model cannot compare numbers.
 
 The symbols are those that decide the best contract: what stands beside a thing on the finger axis and across it (height
 class, gap class), what stands or hangs on the way to a container, and where people are.

@@ -11,7 +11,7 @@ from dualbrain.records import Bowl, Box, Capsule, Cylinder, Pose, SceneObject, S
 Array = NDArray[np.float64]
 
 APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0)}
-"""Angle between the tool's approach axis and straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
+"""Angle of the tool's approach axis to straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
 
 
 def half_height(shape: Shape, pose: Pose) -> float:
@@ -71,17 +71,18 @@ def finger_direction(thing: SceneObject, finger_axis: str) -> Array:
 def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Array]:
     """The tool rotations that grasp with the fingers along `direction` and the wanted approach.
 
-    The tool leans about its finger axis by the approach's angle, first outward (along `towards`, seen from the base), and
-    each lean comes with both ways round of the fingers.
+    The tool leans about its finger axis by the approach's angle, first outward (along `towards`, seen from the
+    base), and each lean comes with both ways round of the fingers.
     """
-    lean = APPROACH_LEAN[approach]
+    lean = float(APPROACH_LEAN[approach])
     sideways = np.array([-direction[1], direction[0], 0.0])
     if float(sideways @ towards) < 0.0:
         sideways = -sideways
     leans = (lean, -lean) if lean else (0.0,)
     rotations: list[Array] = []
     for angle in leans:
-        z = np.sin(angle) * sideways - np.cos(angle) * np.array([0.0, 0.0, 1.0])
+        z: Array = np.sin(angle) * sideways - np.cos(angle) * np.array([0.0, 0.0, 1.0])
         for y in (direction, -direction):
-            rotations.append(np.column_stack([np.cross(y, z), y, z]))
+            x: Array = np.cross(y, z).astype(np.float64)
+            rotations.append(np.column_stack([x, y, z]))
     return rotations

@@ -13,7 +13,7 @@ from dualbrain.skills.limb import Goal, Limb, Part, lifted
 from dualbrain.skills.skill import Ending, Status, Story
 
 FINGER_DEPTH = {"top": 0.016, "tilted": 0.008, "side": 0.008}
-"""How far below a thing's top the tool may go [m], so that the palm, 37 mm above the tool, keeps the filter's margins."""
+"""How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins."""
 OVER = 0.04
 """Room between finger tips and the top of a thing when passing over it [m]."""
 ENOUGH = 0.011
@@ -115,7 +115,7 @@ def _seize(
 
 
 def _around(limb: Limb, thing: SceneObject) -> bool:
-    """Whether the fingers hold enough of `thing` between them to close, though something kept them from the whole way."""
+    """Whether the fingers have enough of `thing` between them to close, though kept from the whole way."""
     tool = limb.senses.tool.position
     off = float(np.hypot(tool[0] - thing.pose.position[0], tool[1] - thing.pose.position[1]))
     deep = geometry.top(thing) - (float(tool[2]) - limb.body.gripper.pad_below_tool)

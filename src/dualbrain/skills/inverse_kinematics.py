@@ -30,7 +30,7 @@ class InverseKinematics:
         self._home = np.array(body.home)
 
     def solve(self, position: Array, rotation: Array, starts: Sequence[Array] = (), *, steps: int = 60) -> Array | None:
-        """Joint angles (n,) [rad] that put the tool at the pose, from the first start that converges; None if none does."""
+        """Joint angles (n,) [rad] that put the tool at the pose, from the first start that converges, or None."""
         for start in (*starts, self._facing(position)):
             q = self._descend(np.clip(start, self._lower, self._upper), position, rotation, steps)
             if q is not None:
@@ -38,7 +38,7 @@ class InverseKinematics:
         return None
 
     def best(self, position: Array, rotations: Sequence[Array], start: Array) -> tuple[Array, Array] | None:
-        """The rotation and joint angles that lie most comfortably: far from limits, near `start`; None if none is reachable."""
+        """The rotation and joint angles that lie most comfortably: far from limits, near `start`; or None."""
         choices: list[tuple[float, int, Array]] = []
         for index, rotation in enumerate(rotations):
             q = self.solve(position, rotation, (start,))

@@ -73,7 +73,7 @@ def come_down(
 def wait_for_people(
     limb: Limb, station: Goal, spot: Array, horizon: float, phase: str, *, reach: float = BESIDE
 ) -> Part:
-    """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, seen from above."""
+    """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, from above."""
     start = limb.senses.now
     while True:
         if why := (yield from arrive(limb, station, phase, 0.2)):

@@ -16,7 +16,7 @@ HEADROOM = 0.05
 
 
 def may_be_over(scene: Scene, spot: Array, horizon: float, reach: float, now: float) -> bool:
-    """Whether any person's sweep over the next `horizon` [s] comes within `reach` [m] of `spot` (3,), seen from above."""
+    """Whether any person's sweep over the next `horizon` [s] comes within `reach` [m] of `spot` (3,), from above."""
     return any(_sweeps(thing, spot, horizon, reach, now) for thing in scene.objects if thing.role == "person")
 
 

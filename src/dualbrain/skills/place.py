@@ -52,7 +52,7 @@ def spec(body: Body) -> SkillSpec:
 
 
 def spot(scene: Scene, destination: str) -> tuple[Array, float, float]:
-    """Where `destination` receives things: position (3,) on its receiving height, radius of the spot, drop height [m]."""
+    """Where `destination` receives things: position (3,) at its receiving height, radius, drop height [m]."""
     for place in scene.places:
         if place.name == destination:
             return np.asarray(place.position), 0.05, TOUCH_DOWN

@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 class Gains:
     """Shape of the tool's motion.
 
-    `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the twist
-    may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint, `damping` [m] keeps the
-    inverse finite at singular poses, `headroom` is the share of the joint velocity limit that φ allows itself.
+    `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the
+    twist may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint, `damping` [m]
+    keeps the inverse finite at singular poses, `headroom` is the share of the joint velocity limit that φ allows itself.
     """
 
     position: float = 5.0
@@ -63,7 +63,7 @@ class ResolvedRate:
         return self._resolve(state, tool, posture, now)
 
     def toward_joints(self, state: RobotState, goal: Array, share: float, now: float) -> Array:
-        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad] at up to `share` of the velocity limits."""
+        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad], up to `share` of the speed limits."""
         error = goal - state.q
         remaining = float(np.max(np.abs(error) / self._u_max))
         pace = min(share, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
@@ -76,7 +76,7 @@ class ResolvedRate:
         return self._project(state, np.zeros_like(self._u_nom), now)
 
     def reconsider(self, state: RobotState, u: Array, now: float) -> Array:
-        """This tick's u_nom (n,) [rad/s] projected again, from the tick before, onto rows that have changed meanwhile."""
+        """This tick's u_nom (n,) [rad/s] projected again, from the tick before, onto rows that have changed."""
         self._u_nom = self._before
         return self._project(state, u, now)
 

@@ -16,7 +16,7 @@ REACH = (0.34, 0.68)
 
 
 def bend(start: Array, end: Array, route: str) -> Array | None:
-    """The point (3,) that `route` passes on the way from `start` to `end`, at the height of `end`; None when straight."""
+    """The point (3,) that `route` passes between `start` and `end`, at the height of `end`; None when straight."""
     if route == "direct":
         return None
     middle = (start + end)[:2] / 2

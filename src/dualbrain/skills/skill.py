@@ -48,7 +48,7 @@ class Holding:
 
 @dataclass(frozen=True, slots=True)
 class Nominal:
-    """One tick of intent: joint velocity u [rad/s] of shape (n,), opening per finger [m], grip force [N], phase, contacts."""
+    """One tick of intent: joint velocity u (n,) [rad/s], opening per finger [m], grip force [N], phase, contacts."""
 
     u: Array
     opening: float

@@ -21,7 +21,7 @@ ARM: Mapping[str, ModuleType] = {
     "home": home,
     "decline": decline,
 }
-"""One module a skill, each with `spec(body)` and `story(limb, **params)`. To add a skill, write its file and name it here."""
+"""One module a skill, each with `spec(body)` and `story(limb, **params)`; to add one, write it and name it here."""
 
 
 def arm_registry(body: Body) -> Registry:

@@ -156,6 +156,14 @@ class Plant:
         site = self.data.site(f"{PREFIX}tcp")
         return site.xpos.copy(), site.xmat.reshape(3, 3).copy()
 
+    def link_poses(self) -> dict[str, Pose]:
+        """True pose of every link of the robot by the body's names, for pictures."""
+        data = self.data
+        return {
+            link.name: Pose(_vector(data.body(f"{PREFIX}{link.name}").xpos), _quaternion(data.body(f"{PREFIX}{link.name}").xquat))
+            for link in self.body.links
+        }  # fmt: skip
+
     def place_arm(self, q: Array, opening: float | None = None) -> None:
         """Put the arm at `q` at rest without passing in between (set-up and tests only)."""
         data = self.data

@@ -279,7 +279,7 @@ def _fixed(name: str, shape: Box, position: tuple[float, ...]) -> Thing:
 
 
 def _sweep(rng: np.random.Generator) -> Mover:
-    """Across the table in y at 17-22 cm height, above the low things, resting at both ends; the phase covers the whole cycle."""
+    """Across the table in y at 17-22 cm height, above the low things, resting at both ends; any phase of the cycle."""
     tip, z, speed, pause = (
         rng.uniform(0.44, 0.50),
         rng.uniform(0.175, 0.22),
