@@ -14,6 +14,7 @@ from proofs.origin import machine
 from proofs.plot import plot
 from proofs.proof import Proof, Row
 
+PICTURE = "![Δ by contract, family and seed](learnable.png)"
 BEGIN, END = "<!-- figures: written by `make prove`, not by hand -->", "<!-- end of figures -->"
 
 
@@ -26,7 +27,7 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             continue
         section = [f"{proof.claim}", "", provenance(rows), "", *proof.report(rows)]
         if proof.name == "sweep":
-            _between(docs / "learnable.md", section)
+            _between(docs / "learnable.md", [PICTURE, "", *section])
             plot(families(rows), docs / "learnable.png")
             section = [proof.claim, "", provenance(rows), "", "Figures and plot: [learnable.md](learnable.md).", ""]
         sections += [f"## {proof.name}", "", *section]

@@ -12,7 +12,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0
 
 
 def plot(tables: dict[tuple[str, float], Scores], path: Path, speed: float = SPEED) -> None:
-    """One panel a family; contracts sorted by their median over seeds, failures in the band at the top."""
+    """One panel a family; contracts sorted by success, then by median Δ; failures lie in the band at the top."""
     import matplotlib as mpl  # noqa: PLC0415  (heavy)
 
     mpl.use("Agg")
@@ -23,16 +23,22 @@ def plot(tables: dict[tuple[str, float], Scores], path: Path, speed: float = SPE
     for panel, family in zip(panels[0], shown, strict=True):
         _panel(panel, family, tables[family, speed])
     panels[0][0].set_ylabel("Δ of a success (floor 1e-4)")
-    panels[0][-1].legend(title="seed", fontsize=7, title_fontsize=7, loc="lower right")
+    panels[0][-1].legend(title="seed", fontsize=7, title_fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0))
     figure.suptitle(f"Valid contracts for one instruction at {speed} m/s: each dot is an episode", fontsize=11)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
+def _rank(values: list[float]) -> tuple[float, float]:
+    """Contracts that fail seldom come first, then those with a small median Δ."""
+    good = [value for value in values if value < FAILED]
+    return 1.0 - len(good) / len(values), median(good) if good else FAILED
+
+
 def _panel(panel, family: str, scores: Scores) -> None:
     names = sorted({name for line in scores.values() for name in line})
-    names.sort(key=lambda name: median(line.get(name, FAILED) for line in scores.values()))
+    names.sort(key=lambda name: _rank([line[name] for line in scores.values() if name in line]))
     lost = 0.3
     for (seed, line), colour in zip(scores.items(), COLOURS * 9, strict=False):
         shift = 0.5 * (list(scores).index(seed) / max(1, len(scores) - 1) - 0.5)

@@ -1,6 +1,7 @@
 """A proof for the tests of the crew: it doubles, breaks or dies."""
 
 import os
+import time
 
 
 class Doubling:
@@ -10,7 +11,8 @@ class Doubling:
     def run(self, about):
         if about.get("die"):
             os._exit(9)
-        return {"double": about["n"] + about["n"], "inverse": 1 / about["n"]}
+        time.sleep(about.get("nap", 0.0))
+        return {"double": about["n"] + about["n"], "inverse": 1 / about["n"], "worker": os.getpid()}
 
 
 PROOFS = {"doubling": Doubling()}
