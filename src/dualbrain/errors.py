@@ -32,6 +32,10 @@ class InvalidSetup(DualbrainError):
         super().__init__(f"{what}: got {got!r}, allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 
+class WrongUsage(InvalidSetup):
+    """A command called with words it cannot take."""
+
+
 class MissingPart(DualbrainError):
     """Something the command needs is not installed here (a package, weights, a graphics library)."""
 

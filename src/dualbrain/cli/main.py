@@ -8,7 +8,7 @@ from cyclopts import App, CycloptsError
 
 from dualbrain import __version__
 from dualbrain.cli.exits import Exit
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import DualbrainError, WrongUsage
 
 app = App(
     name="dualbrain",
@@ -47,7 +47,7 @@ def call(arguments: list[str]) -> int:
         return Exit.USAGE
     except DualbrainError as error:
         print(f"dualbrain: {error}", file=sys.stderr)
-        return Exit.SETUP
+        return Exit.USAGE if isinstance(error, WrongUsage) else Exit.SETUP
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
         return Exit.INTERRUPTED

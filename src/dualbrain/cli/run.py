@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dualbrain.cli.exits import Exit
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import WrongUsage
 
 PLANNER = "qwen2.5-coder-1.5b-instruct"
 
@@ -65,7 +65,7 @@ def run(
     from dualbrain.cli.account import carry_out
 
     if not instruction.strip() and contract is None:
-        raise InvalidSetup(
+        raise WrongUsage(
             "instruction", got=instruction, allowed="some words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
         )  # fmt: skip

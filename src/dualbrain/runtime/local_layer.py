@@ -34,6 +34,8 @@ INFEASIBLE_FOR = 0.05
 """An infeasible filter brakes and clears by itself for this long [s]; then the contract is taken over."""
 BROKEN_FOR = 0.05
 """A stopped or faulty filter for this long [s] ends the contract."""
+MISSED = 0.5
+"""A person who was not seen for this long [s] may be anywhere: the filter is told that its scene is that old."""
 LET_GO = 0.5
 """For this long after it was let go a thing is believed to fall and roll [s]."""
 INTERRUPTED = Ending(Status.RUNNING, "interrupted by a person")
@@ -130,6 +132,8 @@ class LocalLayer:
             result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
             results.append(result)
         self.hold(self.config.settle, "settle")
+        self._touches = ()
+        self._permit(())
         if kind in ("aborted", "stopped"):
             self.robot.stop()
             self.log.note(self.state.stamp, "fault", "at rest, drive off, brakes on")
@@ -225,14 +229,17 @@ class LocalLayer:
     def _enter(self, nominal: Nominal) -> None:
         """A new phase: its contact permits replace the old ones."""
         self._phase, self._touches = nominal.phase, nominal.touches
-        contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in nominal.touches]
-        self.log.call(self.state.stamp, "permit", permits=contacts)
-        self.safety.permit(contacts)
+        self._permit(nominal.touches)
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
         if self._phase_changed:
             self._phase_changed(
                 nominal.phase, {**self._roles, "held": nominal.holding.name if nominal.holding else None}
             )
+
+    def _permit(self, touches: tuple[Touch, ...]) -> None:
+        contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in touches]
+        self.log.call(self.state.stamp, "permit", permits=contacts)
+        self.safety.permit(contacts)
 
     def _take(self, holding: Holding | None) -> None:
         """Attach what was grasped as part of the body, at the pose perceived at the grasp; or detach it."""
@@ -254,9 +261,18 @@ class LocalLayer:
         held = self._holding.name if self._holding else None
         supports = {thing.name for thing in self.scene.objects if thing.role == "support"}
         known = supports | {name for name in self._roles.values() if name}
-        obstacles = from_scene(self.scene, known=known, held=held)
-        self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=self.scene.stamp)
-        self.safety.observe(obstacles, self.scene.stamp)
+        obstacles, stamp = from_scene(self.scene, known=known, held=held), believed(self.scene)
+        self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
+        self.safety.observe(obstacles, stamp)
+
+
+def believed(scene: Scene) -> float:
+    """The stamp [s] to judge the scene's age by: its own, or that of a person who has not been seen for too long.
+
+    A person is carried forward along the last velocity for a while; after `MISSED` the filter must stop instead.
+    """
+    seen = min((thing.stamp for thing in scene.objects if thing.role == "person"), default=scene.stamp)
+    return scene.stamp if scene.stamp - seen < MISSED else seen
 
 
 def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:

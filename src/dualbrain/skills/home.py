@@ -37,6 +37,6 @@ def story(limb: Limb, *, speed: float) -> Story:
     if low and (why := (yield from arrive(limb, limb.shifted(up, up.position), "rise", speed))):
         return why
     share = FULL_SPEED * speed / limb.body.tool_speed.value
-    if why := (yield from limb.joints(np.array(limb.body.home), "return", share)):
+    if why := (yield from limb.joints(np.array(limb.body.home), "return", share, speed)):
         return why
     return Ending(Status.DONE, "at home")

@@ -131,8 +131,8 @@ class Limb:
             )  # fmt: skip
             yield self._nominal(u, phase)
 
-    def joints(self, goal: Array, phase: str, share: float) -> Part:
-        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits."""
+    def joints(self, goal: Array, phase: str, share: float, speed: float) -> Part:
+        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool at most at `speed` [m/s]."""
         progress = Progress(self.senses.now, limit=30.0)
         while True:
             state, now = self.senses.state, self.senses.now
@@ -141,7 +141,7 @@ class Limb:
                 return None
             if why := progress.stuck(now, error):
                 return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {error:.2f} rad from the goal")
-            yield self._nominal(self._phi.toward_joints(state, goal, share, now), phase)
+            yield self._nominal(self._phi.toward_joints(state, self.senses.tool, goal, share, speed, now), phase)
 
     def stay(self, phase: str, duration: float) -> Part:
         """Rest for `duration` [s]."""

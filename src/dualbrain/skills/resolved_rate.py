@@ -27,7 +27,7 @@ class Gains:
 
     `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the
     twist may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint, `damping` [m]
-    keeps the inverse finite at singular poses, `headroom` is the share of the joint velocity limit that φ allows itself.
+    keeps the inverse finite at singular poses, `headroom` is the share of the joint velocity limits that φ uses.
     """
 
     position: float = 5.0
@@ -62,13 +62,20 @@ class ResolvedRate:
         self._lead_twist(tool, position, rotation, speed, stop=stop)
         return self._resolve(state, tool, posture, now)
 
-    def toward_joints(self, state: RobotState, goal: Array, share: float, now: float) -> Array:
-        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad], up to `share` of the speed limits."""
+    def toward_joints(
+        self, state: RobotState, tool: ToolState, goal: Array, share: float, speed: float, now: float
+    ) -> Array:  # fmt: skip
+        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad], up to `share` of the joints' speed limits.
+
+        The tool does not go faster than `speed` [m/s].
+        """
         error = goal - state.q
         remaining = float(np.max(np.abs(error) / self._u_max))
         pace = min(share, 3.0 * remaining, sqrt(2.0 * float(np.min(self._brake / self._u_max)) * remaining))
+        wish = error * (pace / remaining) if remaining > 1e-6 else error
+        fast = float(np.linalg.norm(tool.jacobian[:3] @ wish))
         self._twist[:] = 0.0
-        return self._project(state, error * (pace / remaining) if remaining > 1e-6 else error, now)
+        return self._project(state, wish * (speed / fast) if fast > speed else wish, now)
 
     def rest(self, state: RobotState, now: float) -> Array:
         """u_nom (n,) [rad/s] that comes to a standstill."""

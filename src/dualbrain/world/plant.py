@@ -158,11 +158,8 @@ class Plant:
 
     def link_poses(self) -> dict[str, Pose]:
         """True pose of every link of the robot by the body's names, for pictures."""
-        data = self.data
-        return {
-            link.name: Pose(_vector(data.body(f"{PREFIX}{link.name}").xpos), _quaternion(data.body(f"{PREFIX}{link.name}").xquat))
-            for link in self.body.links
-        }  # fmt: skip
+        parts = {link.name: self.data.body(f"{PREFIX}{link.name}") for link in self.body.links}
+        return {name: Pose(_vector(part.xpos), _quaternion(part.xquat)) for name, part in parts.items()}
 
     def place_arm(self, q: Array, opening: float | None = None) -> None:
         """Put the arm at `q` at rest without passing in between (set-up and tests only)."""
