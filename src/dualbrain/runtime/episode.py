@@ -129,8 +129,10 @@ def _verdict_words(shot: int, verdict: Verdict | None) -> str:
 
 def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
     """Planner, gate and motion time [s]; the planner's parts are summed over its shots."""
-    timings = {"gate": sum(attempt.gate_s for attempt in attempts), "motion": outcome.duration}
+    timings = {"gate": sum(attempt.gate_s for attempt in attempts), "motion": outcome.duration, "planner": 0.0}
     for attempt in attempts:
-        for part, seconds in attempt.proposal.timings.items():
+        parts = {part: value for part, value in attempt.proposal.timings.items() if not part.endswith("_tokens")}
+        timings["planner"] += parts.pop("total", 0.0)
+        for part, seconds in parts.items():
             timings[f"planner_{part}"] = timings.get(f"planner_{part}", 0.0) + seconds
     return timings

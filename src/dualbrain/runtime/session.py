@@ -187,7 +187,14 @@ class Session:
         )
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions())
-        return run_episode(errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now())
+        episode, stored = run_episode(
+            errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now()
+        )  # fmt: skip
+        for one in stored.changes:
+            why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
+            moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
+            log.note(layer.state.stamp, "memory", why, **moved)
+        return episode, stored
 
     def _versions(self) -> dict[str, str]:
         return {
