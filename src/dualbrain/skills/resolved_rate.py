@@ -65,9 +65,9 @@ class ResolvedRate:
     def toward_joints(
         self, state: RobotState, tool: ToolState, goal: Array, share: float, speed: float, now: float
     ) -> Array:  # fmt: skip
-        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad], up to `share` of the joints' speed limits.
+        """u_nom (n,) [rad/s] straight through joint space to `goal` (n,) [rad].
 
-        The tool does not go faster than `speed` [m/s].
+        Up to `share` of the joints' speed limits, the tool at most at `speed` [m/s].
         """
         error = goal - state.q
         remaining = float(np.max(np.abs(error) / self._u_max))

@@ -1,0 +1,127 @@
+"""Skills in the physics of the bare scene: δ is 0 on every tick, things are lifted and held, and truth agrees."""
+
+import msgspec
+import numpy as np
+import pytest
+from tests.stories.rig import GRASP, PLACE
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.records import Pose
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.perception import EXACT, Noise, Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.scenes import make_scene
+
+BODY = load_body("panda")
+
+
+class Bench:
+    """A scene, an arm and a local layer, without planner and memory."""
+
+    def __init__(self, family="bare", seed=0, noise=EXACT, ghost=None):
+        self.spec = make_scene(family, seed)
+        self.plant = Plant(self.spec, BODY)
+        self.trace = Trace(BODY.n)
+        world = SimulatedWorld(self.plant, Perception(self.spec, noise, np.random.default_rng(seed)))
+        self.world = Ghosts(world, ghost) if ghost else world
+        self.monitor = world.monitor
+        self.layer = LocalLayer(
+            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), LayerConfig(settle=0.1),
+            phase_changed=world.allow,
+        )  # fmt: skip
+
+    def run(self, *actions):
+        sequence = tuple(Action(skill, params) for skill, params in actions)
+        return self.layer.run(Contract("c-1", Context("panda", ""), sequence))
+
+    def untouched(self):
+        """Whether δ was 0 on every tick."""
+        return not np.any(self.trace["delta"])
+
+
+class Ghosts:
+    """Surroundings in which one thing is seen where it is not."""
+
+    def __init__(self, world, ghost):
+        self._world, self._ghost = world, ghost
+
+    def look(self):
+        scene = self._world.look()
+        name, position = self._ghost
+        things = tuple(
+            msgspec.structs.replace(thing, pose=Pose(position)) if thing.name == name else thing
+            for thing in scene.objects
+        )
+        return msgspec.structs.replace(scene, objects=things)
+
+    def advance(self):
+        self._world.advance()
+
+
+def grasp(**changes):
+    return ("grasp", {**GRASP, **changes})
+
+
+def place(**changes):
+    return ("place", {**PLACE, **changes})
+
+
+PICKS = [
+    (0, EXACT, {}),
+    (1, Noise(), {"speed": 0.4}),
+    (2, EXACT, {"finger_axis": "across", "clearance": 0.25}),
+    (3, Noise(), {"finger_axis": "across", "opening": 0.08}),
+    (4, EXACT, {"approach": "tilted", "speed": 0.35}),
+    (5, Noise(), {"force": 10.0, "speed": 0.3}),
+]
+
+
+@pytest.mark.parametrize(("seed", "noise", "changes"), PICKS)
+def test_a_pick_lifts_and_holds_and_the_filter_has_nothing_to_do(seed, noise, changes):
+    bench = Bench(seed=seed, noise=noise)
+    outcome = bench.run(grasp(**changes), ("hold", {"duration": 0.5}))
+    assert outcome.kind == "succeeded", outcome.reason
+    assert bench.plant.truth("red_cube").position[2] > 0.05
+    assert min(bench.plant.read().finger_forces) > 0.5
+    assert bench.untouched()
+    assert outcome.Delta == 0.0
+    assert bench.monitor.violations() == ()
+
+
+CONTRACTS = [
+    (EXACT, (grasp(speed=0.4), place(speed=0.4, route="near_base"))),
+    (Noise(), (grasp(speed=0.4), place(destination="table_left", speed=0.4, clearance=0.2), ("home", {"speed": 0.4}))),
+    (EXACT, (("move_to", {"target": "blue_bowl", "speed": 0.4, "clearance": 0.1, "route": "left", "wait": "none"}),)),
+]
+
+
+@pytest.mark.parametrize(("noise", "actions"), CONTRACTS)
+def test_whole_contracts_on_the_bare_scene_complete_with_delta_zero_on_every_tick(noise, actions):
+    bench = Bench(seed=7, noise=noise)
+    outcome = bench.run(*actions)
+    assert outcome.kind == "succeeded", outcome.reason
+    assert {action.status for action in outcome.actions} == {"done"}
+    assert bench.untouched()
+    assert bench.monitor.violations() == ()
+
+
+def test_a_grasp_with_nothing_there_fails_the_two_finger_test():
+    bench = Bench(ghost=("red_cube", (0.5, 0.0, 0.025)))
+    outcome = bench.run(grasp(speed=0.4), place())
+    assert outcome.kind == "failed"
+    assert "two-finger test" in outcome.reason
+    assert [action.status for action in outcome.actions] == ["failed", "not_run"]
+    assert bench.layer.limb.holding is None
+
+
+def test_the_order_of_actions_is_kept_and_a_failure_ends_it():
+    bench = Bench()
+    outcome = bench.run(("hold", {"duration": 0.5}), place(), ("hold", {"duration": 5.0}))
+    assert [action.status for action in outcome.actions] == ["done", "failed", "not_run"]
+    assert "nothing is held" in outcome.reason
+    assert outcome.duration < 1.0

@@ -1,0 +1,76 @@
+"""The next run recalls the last one, and only what the robot itself could know shapes memory."""
+
+import pytest
+
+from dualbrain.cli.account import exit_code
+from dualbrain.cli.exits import Exit
+from dualbrain.planner.prompt import render
+from tests.once import once
+
+from .rig import contract, decline, ledger_episodes, pause, play, settings
+
+GOAL = "put the red_cube in the blue_bowl"
+BAD = contract(("throw", {"object": "red_cube"}))
+
+
+def _four_runs(folder):
+    """One ledger: a pause that is called success, the same again, a refusal, and a last question."""
+    told = []
+    for name, words, answer, goal in (
+        ("one", "rest a little", pause(0.7), GOAL),
+        ("two", "rest a little more", pause(0.8), ""),
+        ("three", "throw the cube", BAD, ""),
+        ("four", "throw the cube, please", decline(), ""),
+    ):
+        story = play(settings(folder, name, instruction=words, goal=goal), answer)
+        told.append((story.episode, render(story.planner.asked[0]), story.finished.stored.changes, story.config.ledger))
+    return (told,)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return once(tmp_path_factory, "four_runs", _four_runs)[1]
+
+
+def test_the_first_run_has_nothing_to_recall(runs):
+    episode, messages, *_ = runs[0]
+    assert episode.recall.exemplars == ()
+    assert not any("rest a little" in message["content"] for message in messages[:-1])
+
+
+def test_the_second_run_recalls_the_first_and_the_prompt_shows_it(runs):
+    episode, messages, *_ = runs[1]
+    (exemplar,) = episode.recall.exemplars
+    assert exemplar.episode_id == "one"
+    assert exemplar.succeeded
+    questions = [index for index, message in enumerate(messages) if "rest a little\n" in message["content"]]
+    assert questions
+    answer = messages[questions[0] + 1]
+    assert answer["role"] == "assistant"
+    assert '"duration":0.7' in answer["content"]
+
+
+def test_what_was_shown_is_weighed_by_the_outcome(runs):
+    changes = runs[1][2]
+    assert [(change.memory, change.rank) for change in changes] == [("two", 0), ("one", 1)]
+    assert all(change.after > change.before for change in changes)
+
+
+def test_a_refused_contract_is_a_warning_to_the_next(runs):
+    episode, messages, *_ = runs[3]
+    assert [warning.episode_id for warning in episode.recall.warnings] == ["three"]
+    assert not episode.recall.warnings[0].succeeded
+    assert {exemplar.episode_id for exemplar in episode.recall.exemplars} == {"one", "two"}
+    assert "three" not in messages[-1]["content"]
+
+
+def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
+    """The robot says that all it was asked was done; the world says that no cube is in the bowl."""
+    episode, _, changes, ledger = runs[0]
+    assert episode.outcome.kind == "succeeded"
+    assert not episode.judgement.success
+    assert exit_code(episode) == Exit.FAILED_SAFELY
+    assert changes[0].after > changes[0].before
+    remembered = ledger_episodes(ledger)[0]["episode"]
+    assert remembered["outcome"]["kind"] == "succeeded"
+    assert "judgement" not in remembered
