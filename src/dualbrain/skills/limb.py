@@ -132,7 +132,7 @@ class Limb:
             yield self._nominal(u, phase)
 
     def joints(self, goal: Array, phase: str, share: float, speed: float) -> Part:
-        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool at most at `speed`."""
+        """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool up to `speed`."""
         progress = Progress(self.senses.now, limit=30.0)
         while True:
             state, now = self.senses.state, self.senses.now
