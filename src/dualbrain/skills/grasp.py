@@ -98,7 +98,7 @@ def _seize(
     x, y, _ = thing.pose.position
     at = limb.shifted(at, np.array([x, y, grasp_height(limb.body, thing, approach)]))
     above = _above(limb, at, thing, clearance)
-    brink = _back(limb, at, geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool)
+    brink = _brink(limb, at, thing)
     why = yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")
     if why and not _around(limb, thing):
         return why
@@ -123,9 +123,15 @@ def _around(limb: Limb, thing: SceneObject) -> bool:
 
 
 def _above(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
-    """The pose from which the fingers come down: back along the approach axis, tips clear of the thing's top."""
+    """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
     tips = max(limb.floor + clearance, geometry.top(thing) + OVER)
-    return _back(limb, at, tips + limb.body.gripper.pad_below_tool)
+    up = lifted(_brink(limb, at, thing), tips + limb.body.gripper.pad_below_tool)
+    return limb.shifted(up, up.position)
+
+
+def _brink(limb: Limb, at: Goal, thing: SceneObject) -> Goal:
+    """The pose from which the fingers go on gently, back along the approach axis."""
+    return _back(limb, at, geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool)
 
 
 def _back(limb: Limb, at: Goal, height: float) -> Goal:

@@ -5,7 +5,7 @@ A story yields one `Nominal` a tick and returns None when it went well or the `E
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,8 @@ SETTLED = 0.15
 """How long [s] a grip must stand still and press with both fingers to count as a grasp."""
 GRIP_FORCE_MIN = 0.5
 """Force on each finger that counts as contact [N] (two-finger test)."""
+OWN_LIMIT = 0.95
+"""Share of the allowed tool speed that φ uses: posture and rotation move the tool as well."""
 CEILING = 0.50
 """Tool height that no evasion exceeds [m]."""
 YIELD_SPEED = 0.30
@@ -106,17 +108,16 @@ class Limb:
     # --- parts of a story ---------------------------------------------------------------------------------------
 
     def reach(
-        self, goal: Goal, phase: str, speed: float, *, stop: bool = True, patience: float = STANDSTILL,
-        follow: Callable[[], Goal] | None = None,
+        self, goal: Goal, phase: str, speed: float, *, stop: bool = True, patience: float = STANDSTILL
     ) -> Part:  # fmt: skip
-        """Move the tool to `goal`; with `stop` come to rest there, else pass by. `follow` renews the goal every tick.
+        """Move the tool to `goal`; with `stop` come to rest there, else pass by.
 
         When a person is about to sweep by, the arm gets out of the way and the part ends with `YIELDED`.
         """
+        speed = min(speed, OWN_LIMIT * self.body.tool_speed.value)
         near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
         progress = Progress(self.senses.now, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
         while True:
-            goal = follow() if follow else goal
             tool, state, now = self.senses.tool, self.senses.state, self.senses.now
             distance = self._distance(goal)
             turn = float(np.linalg.norm(rotation_error(tool.rotation, goal.rotation)))

@@ -77,7 +77,7 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "carry", reach=0.35))
     ):
         return why
-    height = max(limb.floor + clearance + held.below_tool, float(down.position[2]))
+    height = max(limb.floor + clearance + held.below_tool, float(down.position[2]) + BRINK)
     above = lifted(down, height)
     if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)):
         return why
