@@ -99,7 +99,7 @@ def test_when_carrying_is_blocked_the_arm_goes_over_the_top(started):
 def test_when_that_is_blocked_too_it_goes_round_by_the_base(started):
     arm = at_the_right(started, wall(1.2, 0.46))
     assert arm.carry_out(travel(arm.limb, [arm.goal(0.45, 0.25, 0.22)], "carry", 0.3)) is None
-    assert np.hypot(*np.array(arm.path)[1:, :2].T).min() < NEAR_BASE + 0.03
+    assert np.hypot(*np.array(arm.path)[1:, :2].T).min() < NEAR_BASE + 0.05
     assert np.linalg.norm(arm.path[-1] - (0.45, 0.25, 0.22)) < 0.005
 
 
