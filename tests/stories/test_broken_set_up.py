@@ -84,7 +84,7 @@ def test_an_unknown_planner_is_answered_with_the_closest(said, tmp_path):
 
 def test_no_words_and_no_contract(said, tmp_path):
     code, err = said("run", "  ", "--headless")
-    assert code == 5
+    assert code == 2  # usage: nothing here is broken
     assert "dualbrain run" in err  # an example of how to say it
     assert no_run_began(tmp_path)
 
@@ -206,8 +206,8 @@ def outside(folder, *arguments, **environment):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("gl", ["disable", "bogus"])
-def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path, gl):
+def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path):
+    gl = "bogus"
     done = outside(tmp_path, *start("--scene", "bare:0", "--out", "run"), MUJOCO_GL=gl)
     assert "no pictures" in done.stderr
     assert gl in done.stderr
