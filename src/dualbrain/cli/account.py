@@ -24,6 +24,7 @@ NO_GRAPHICS = choose_graphics(os.environ)  # before MuJoCo is imported
 from dualbrain.cli.album import Album
 from dualbrain.cli.ctrl_c import ctrl_c
 from dualbrain.cli.lookout import Lookout
+from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
 from dualbrain.records import Episode
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
@@ -54,8 +55,13 @@ def carry_out(
     with Session(config, times, os.environ) as session:
         lookout = Lookout(session, port, console) if view else None
         album = Album(session.plant, console, NO_GRAPHICS)
+        waiting = Waiting(console, f"the planner thinks ({session.planner.name})")
         with ctrl_c(session.interrupt):
-            finished = session.run(_onlooker(session, console, album, lookout))
+            waiting.start()
+            try:
+                finished = session.run(_onlooker(console, album, lookout, waiting))
+            finally:
+                waiting.stop()
         album.snap("the end")
         write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
         album.close()
@@ -99,18 +105,17 @@ def summary(episode: Episode, out: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _onlooker(session: Session, console: Console, album: Album, lookout: Lookout | None) -> Onlooker:
+def _onlooker(console: Console, album: Album, lookout: Lookout | None, waiting: Waiting) -> Onlooker:
     def on_event(event: Event) -> None:
+        if event.kind == "action":
+            waiting.stop()
         if event.kind != "perception":
             style = STYLE.get(event.kind, "")
             console.print(f"[dim]{event.t:7.2f} s[/]  [{style or 'default'}]{escape(event.text)}[/]")
         if lookout:
             lookout.event(event)
 
-    def on_phase(phase: str) -> None:
-        album.phase(phase)
-
-    return Onlooker(on_event, lookout.moment if lookout else lambda moment: None, on_phase)
+    return Onlooker(on_event, lookout.moment if lookout else lambda moment: None, album.phase)
 
 
 def _tell(console: Console, finished: Finished, out: Path) -> None:
