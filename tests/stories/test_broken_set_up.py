@@ -6,6 +6,7 @@ import shutil
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -170,6 +171,12 @@ def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path):
     assert moved == []
     assert {path.name: path.read_bytes() for path in story.config.out.iterdir()} == before
     assert set(before) <= set(FILES)
+
+
+def test_a_run_in_the_folder_at_hand_has_that_folders_name(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert play(settings(tmp_path, out=Path()), pause()).episode.id == "here"
 
 
 def test_a_ledger_that_another_process_writes_is_told(said, tmp_path):

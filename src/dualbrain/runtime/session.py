@@ -106,7 +106,8 @@ class Session:
 
         A `planner` that is handed in serves this session and stays open; otherwise the configured one is opened.
         """
-        self.config, self.times = replace(config, instruction=storable(config.instruction)), times
+        out = config.out if config.out.name not in ("", "..") else config.out.resolve()  # a run needs a name
+        self.config, self.times = replace(config, instruction=storable(config.instruction), out=out), times
         self._stack = ExitStack()
         self._interrupted = False
         try:
