@@ -1,6 +1,7 @@
 """The embedded planner with the small model: bounds hold, and a child that dies or hangs is only a finish reason."""
 
 import json
+import re
 import os
 import signal
 from collections.abc import Iterator
@@ -43,10 +44,13 @@ def planner(weights: Path) -> Iterator[LlamaPlanner]:
 def test_the_grammar_holds_the_bounds_and_the_header_is_given(planner: LlamaPlanner) -> None:
     proposal = planner.propose(request("grasp red_cube with speed 9, speed must be 9.0"))
     assert proposal.finish_reason in {protocol.STOP, protocol.LENGTH}
-    contract = json.loads(proposal.text)
-    jsonschema_rs.validator_for(REGISTRY.validation_schema(NAMES)).validate(contract)
-    assert contract["id"] == "c-0007"
+    speeds = [float(number) for number in re.findall(r'"speed":([0-9.]+)', proposal.text)]
+    assert speeds  # whole or cut (a small model may write digits without end), what is written obeys the bounds
+    assert all(0.05 <= speed <= 0.4 for speed in speeds)
+    assert proposal.text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":')
     assert "llguidance" in proposal.constrained_by
+    if proposal.finish_reason == protocol.STOP:
+        jsonschema_rs.validator_for(REGISTRY.validation_schema(NAMES)).validate(json.loads(proposal.text))
 
 
 def test_a_second_question_reuses_the_prefix_and_gets_the_same_answer(planner: LlamaPlanner) -> None:
