@@ -1,8 +1,8 @@
 """The embedded planner with the small model: bounds hold, and a child that dies or hangs is only a finish reason."""
 
 import json
-import re
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
