@@ -12,7 +12,7 @@ def demo(
     *,
     planner: str = PLANNER,
     headless: bool = False,
-    scene: str = "0",
+    scene: str = "8",
 ) -> int:
     """A person's forearm crosses the table while the arm does what it was told. Exits 0 only on real success.
 
@@ -25,7 +25,7 @@ def demo(
     headless
         No live view.
     scene
-        Which world; scene 0 has the crossing forearm.
+        Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
     """
     from dualbrain.cli.account import carry_out
 

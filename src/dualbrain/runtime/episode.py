@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import get_args
 
 import msgspec
 
@@ -15,7 +16,7 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import short_form
 from dualbrain.contracts.stamp import Stamp
-from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.protocol import STOP, Planner
@@ -28,6 +29,8 @@ from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 
+STAGES = get_args(Stage)
+"""The gate's stages, in their order."""
 CONTRACT_LIFE = 120.0
 """A contract that was not accepted within this time of the question is too old [s]."""
 
@@ -120,11 +123,17 @@ def _unmoved(layer: LocalLayer, shots: int, verdict: Verdict | None) -> Outcome:
 def _verdict_words(shot: int, verdict: Verdict | None) -> str:
     match verdict:
         case Accepted(contract):
-            return f"shot {shot}: accepted, " + " → ".join(action.skill for action in contract.action_sequence)
+            skills = " → ".join(action.skill for action in contract.action_sequence)
+            return f"shot {shot}: accepted, {_passed(len(STAGES))}: {skills}"
         case Rejected(stage, pointer, got, _, hint):
-            return f"shot {shot}: rejected at {stage}, {pointer or '/'}: got {got!r}; {hint}"
+            passed = _passed(STAGES.index(stage))
+            return f"shot {shot}: rejected, {passed}{stage} ✗ at {pointer or '/'}: got {got!r}; {hint}"
         case None:
             return "no shot was taken"
+
+
+def _passed(count: int) -> str:
+    return " ".join(f"{stage} ✓" for stage in STAGES[:count]) + (" " if 0 < count < len(STAGES) else "")
 
 
 def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
