@@ -41,8 +41,9 @@ class Gate:
     ) -> Verdict:
         """`Accepted(contract)` or `Rejected(stage, pointer, got, allowed, hint)`; never raises on any bytes.
 
-        `now` [s] is the gate's clock. Without a stamp nothing guards against replay and age: only for looking at a
-        contract, not for running it. Acceptance uses up the stamp's sequence number; a refusal leaves no trace.
+        A rule that raises refuses. `now` [s] is the gate's clock. Without a stamp nothing guards against replay and
+        age: only for looking at a contract, not for running it. Acceptance uses up the stamp's sequence number; a
+        refusal leaves no trace.
         """
         document = parse(data)
         if isinstance(document, Rejected):
@@ -71,7 +72,10 @@ class Gate:
             return actions
         contract = Contract(document["id"], Context(**document["context"]), actions)
         for rule in self.rules:
-            refusal = rule(contract)
+            try:
+                refusal = rule(contract)
+            except Exception as error:  # what cannot be judged is not accepted
+                return Rejected("envelope", "", f"{type(error).__name__}: {error}", "a rule's word", "a rule failed")
             if refusal is not None:
                 return msgspec.structs.replace(refusal, stage="envelope")
         return Accepted(contract)

@@ -37,7 +37,7 @@ CONTRACT_LIFE = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Errand:
-    """What is asked: the words, how many shots the planner has, how many memories it is shown, who it is for."""
+    """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown."""
 
     id: str
     started: str
@@ -57,10 +57,13 @@ class Witness:
 
 
 def run_episode(
-    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness, *,
-    now: float,
+    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness,
+    keep: Callable[[Episode], None], *, now: float,
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
-    """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes."""
+    """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
+
+    The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
+    """
     registry = vocabulary(layer.body.name)
     scene, names = layer.scene, scene_names(layer.scene)
     summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
@@ -100,6 +103,7 @@ def run_episode(
         tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
         _timings(attempts, outcome), witness.versions,
     )  # fmt: skip
+    keep(episode)
     return episode, memory.store(episode, posture, now=now)
 
 

@@ -6,6 +6,7 @@ here; a contract arrives as the gate accepted it.
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -34,6 +35,8 @@ INFEASIBLE_FOR = 0.05
 """An infeasible filter brakes and clears by itself for this long [s]; then the contract is taken over."""
 BROKEN_FOR = 0.05
 """A stopped or faulty filter for this long [s] ends the contract."""
+LONGEST = 300.0
+"""An action that has not ended by itself after this long [s] is taken over: people may come by again and again."""
 MISSED = 0.5
 """A person who was not seen for this long [s] may be anywhere: the filter is told that its scene is that old."""
 LET_GO = 0.5
@@ -70,7 +73,11 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class LayerConfig:
-    """`guard` False writes the nominal control unfiltered (the paper's B1); a look comes every `look_every` ticks."""
+    """`guard` False writes the nominal control unfiltered (the paper's B1).
+
+    A look comes every `look_every` ticks, onlookers see every `watch_every`-th; a contract ends with `settle` [s] of
+    rest.
+    """
 
     guard: bool = True
     look_every: int = 33
@@ -124,6 +131,7 @@ class LocalLayer:
         """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth.
 
         However it ends, the arm brakes to rest through the filter; after an interruption or a fault the drive goes off.
+        What raises in here is a fault: the drive goes off at once, and the outcome says what it was.
         """
         first = len(self.log.trace)
         results: list[ActionResult] = []
@@ -131,16 +139,25 @@ class LocalLayer:
         for index, action in enumerate(contract.action_sequence):
             result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
             results.append(result)
-        self.hold(self.config.settle, "settle")
-        self._touches = ()
-        self._permit(())
+        kind, fault = self._settle(kind)
         if kind in ("aborted", "stopped"):
             self.robot.stop()
             self.log.note(self.state.stamp, "fault", "at rest, drive off, brakes on")
         elif contract.action_sequence[0].skill == "decline":
             kind = "declined"
         bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
-        return self.log.outcome(kind, bad.reason, first, tuple(results))
+        return self.log.outcome(kind, fault or bad.reason, first, tuple(results))
+
+    def _settle(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
+        """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already."""
+        try:
+            self.hold(self.config.settle, "settle")
+            self._touches = ()
+            self._permit(())
+        except Exception as error:
+            why = self._broken(error).reason
+            return (kind, "") if kind in ("aborted", "stopped") else ("stopped", why)
+        return kind, ""
 
     # --- one action ---------------------------------------------------------------------------------------------
 
@@ -149,9 +166,11 @@ class LocalLayer:
         self.log.note(started, "action", f"{action.skill} {_words(action)}", index=index)
         self._roles = _roles(action, self.limb.holding)
         self._skill = action.skill
-        self._observe()
-        running = Running(self.limb, action.skill, action.params)
-        ending = self._carry_out(running, index)
+        try:
+            self._observe()
+            ending = self._carry_out(Running(self.limb, action.skill, action.params), index)
+        except Exception as error:
+            ending = self._broken(error)
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
         kinds: dict[Status, OutcomeClass] = {
             Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over",
@@ -163,17 +182,27 @@ class LocalLayer:
         return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
 
     def _carry_out(self, running: Running, index: int) -> Ending:
-        """Tick until the story ends or the filter takes over; a stop for a fault ends with status RUNNING."""
+        """Tick until the story ends or is taken over; a stop for a fault ends with status RUNNING."""
         self._bad = 0
+        end = self.state.stamp + LONGEST
         while not self.interrupted():
             nominal = running.nominal(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
             if isinstance(nominal, Ending):
                 return nominal
+            if self.state.stamp > end:
+                return Ending(Status.TAKEN_OVER, f"{nominal.phase}: not done after {LONGEST:.0f} s")
             result = self._tick(nominal, index)
             if why := self._given_up(result):
                 return why
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
         return INTERRUPTED
+
+    def _broken(self, error: Exception) -> Ending:
+        """A fault of the program or of its inputs: the drive goes off at once, and what it was is noted."""
+        self.robot.stop()
+        why = f"{type(error).__name__}: {error}"
+        self.log.note(self.state.stamp, "fault", why, traceback=traceback.format_exc())
+        return Ending(Status.RUNNING, why)
 
     def _given_up(self, result: Filtered) -> Ending | None:
         if result.status < FilterStatus.RELAXED:

@@ -130,12 +130,17 @@ class Recorder:
 
     def _drain(self) -> None:
         while (entry := self._queue.get()) is not None:
-            lost, item = entry
-            message = self._ticks(item) if isinstance(item, list) else item
-            if lost:
-                gap = f"{lost} messages were lost here: the disk was slower than the control loop"
-                self._file.write(Event(message.t, "recorder", gap, {"lost": lost}))
-            self._file.write(message)
+            try:
+                self._write(*entry)
+            except Exception as error:  # this thread must go on emptying the queue: the control loop may wait for it
+                self._file.problem = self._file.problem or f"{type(error).__name__}: {error}"
+
+    def _write(self, lost: int, item: Item) -> None:
+        message = self._ticks(item) if isinstance(item, list) else item
+        if lost:
+            gap = f"{lost} messages were lost here: the disk was slower than the control loop"
+            self._file.write(Event(message.t, "recorder", gap, {"lost": lost}))
+        self._file.write(message)
 
     def _ticks(self, batch: list[Array]) -> Ticks:
         rows = np.stack(batch)

@@ -51,7 +51,7 @@ class AttemptMade(msgspec.Struct, frozen=True):
 
 
 class FilterCall(msgspec.Struct, frozen=True):
-    """A call that changes the filter's tables (observe, permit, attach, detach, reset), with all its arguments."""
+    """A call that changes the filter's tables (observe, permit, attach, detach), with all its arguments."""
 
     t: float
     name: str

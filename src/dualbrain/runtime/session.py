@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -69,7 +69,10 @@ class RunConfig:
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds)."""
+    """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds).
+
+    `pace(now)` may delay each tick of the simulation for people.
+    """
 
     clock: Clock
     started: str
@@ -93,7 +96,6 @@ class Finished:
     episode: Episode
     stored: StoreReport
     trace: Trace
-    files: Mapping[str, Path] = field(default_factory=dict[str, Path])
 
 
 class Session:
@@ -162,7 +164,6 @@ class Session:
                 episode, stored = self._episode(log, onlooker)
             finally:
                 self.plant.stop()
-        out.joinpath("episode.json").write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
         return Finished(episode, stored, trace)
 
@@ -189,13 +190,18 @@ class Session:
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions())
         episode, stored = run_episode(
-            errand, self.planner, self.memory, layer, thinking, witness, now=self.times.now()
+            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now()
         )  # fmt: skip
         for one in stored.changes:
             why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
             moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
             log.note(layer.state.stamp, "memory", why, **moved)
         return episode, stored
+
+    def _keep(self, episode: Episode) -> None:
+        self.config.out.joinpath("episode.json").write_bytes(
+            msgspec.json.format(msgspec.json.encode(episode), indent=2)
+        )
 
     def _versions(self) -> dict[str, str]:
         return {
