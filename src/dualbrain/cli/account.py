@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ import msgspec
 from rich.console import Console
 from rich.markup import escape
 
+from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.graphics import choose_graphics
@@ -40,7 +40,7 @@ def carry_out(
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code."""
-    console = Console(file=sys.stderr, highlight=False)
+    console = Account()
     started = datetime.now(UTC)
     out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
     config = RunConfig(
@@ -69,7 +69,7 @@ def carry_out(
             console.print(f"[yellow]{escape(str(cut))}[/]")
         _tell(console, finished, out)
         if as_json:
-            print(msgspec.json.encode(summary(finished.episode, out)).decode(), flush=True)
+            answer(msgspec.json.encode(summary(finished.episode, out)).decode())
         if lookout:
             lookout.finish(finished.episode, stay=stay)
     return exit_code(finished.episode)

@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
+from dualbrain.cli.console import answer
 from dualbrain.cli.exits import Exit
 from dualbrain.errors import InvalidSetup
 
@@ -40,5 +41,5 @@ def check(
     verdict = check_contract(data, robot=robot, scene=scene)
     accepted = isinstance(verdict, Accepted)
     body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
-    print(msgspec.json.encode({"accepted": accepted, **body}).decode())
+    answer(msgspec.json.encode({"accepted": accepted, **body}).decode())
     return Exit.SUCCESS if accepted else Exit.REJECTED

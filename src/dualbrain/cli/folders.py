@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from dualbrain.weights import default_cache
+
 
 def home() -> Path:
     """`$DUALBRAIN_HOME`, else the XDG data folder."""
@@ -15,4 +17,4 @@ def home() -> Path:
 
 def cache() -> Path:
     """The XDG cache folder for model weights."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dualbrain"
+    return default_cache(os.environ)

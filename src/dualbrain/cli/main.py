@@ -7,6 +7,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 from dualbrain import __version__
+from dualbrain.cli.console import abandon_stdout
 from dualbrain.cli.exits import Exit
 from dualbrain.errors import DualbrainError, WrongUsage
 
@@ -51,7 +52,8 @@ def call(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
-    except BrokenPipeError:
+    except BrokenPipeError:  # only listings get here: what has a verdict survives its reader
+        abandon_stdout()
         return Exit.SUCCESS
     except OSError as error:
         print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)

@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 from cyclopts import Parameter
 
+from dualbrain.cli.console import answer
 from dualbrain.cli.exits import Exit
 
 
@@ -26,7 +27,7 @@ def replay(recording: Path, /, *, json: Annotated[bool, Parameter(negative="")] 
 
     result = compute_again(recording)
     if json:
-        print(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
+        answer(msgspec.json.encode({"identical": result.identical, **msgspec.to_builtins(result)}).decode())
     word = "identical, bit for bit" if result.identical else f"{result.differing} differ, first at tick {result.first}"
     print(f"{recording.name}: {result.ticks} controls computed again: {word}", file=sys.stderr)
     if not result.complete:
