@@ -1,4 +1,4 @@
-"""Ctrl-C while a robot moves: the first asks it to brake and to record, the second leaves at once."""
+"""Ctrl-C (or SIGTERM) while a robot moves: the first asks it to brake and to record, the second leaves at once."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 
 @contextmanager
 def ctrl_c(interrupt: Callable[[], None]) -> Iterator[None]:
-    """The first Ctrl-C inside calls `interrupt`; from then on Ctrl-C raises `KeyboardInterrupt` again."""
+    """The first of `SIGNALS` inside calls `interrupt`; from then on each raises `KeyboardInterrupt`."""
 
     def first(number: int, frame: FrameType | None) -> None:
         del number, frame
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for each in SIGNALS:
+            signal.signal(each, signal.default_int_handler)
         interrupt()
 
-    before = signal.signal(signal.SIGINT, first)
+    before = {each: signal.signal(each, first) for each in SIGNALS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for each, usual in before.items():
+            signal.signal(each, usual)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 
 from cyclopts import App, CycloptsError
 
@@ -46,15 +47,23 @@ def call(arguments: list[str]) -> int:
         return int(app(arguments, exit_on_error=False, result_action="return_value") or 0)
     except CycloptsError:
         return Exit.USAGE
-    except DualbrainError as error:
-        print(f"dualbrain: {error}", file=sys.stderr)
-        return Exit.USAGE if isinstance(error, WrongUsage) else Exit.SETUP
     except KeyboardInterrupt:
         print("dualbrain: interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
     except BrokenPipeError:  # only listings get here: what has a verdict survives its reader
         abandon_stdout()
         return Exit.SUCCESS
-    except OSError as error:
-        print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)
-        return Exit.SETUP
+    except Exception as error:
+        return _told(error)
+
+
+def _told(error: Exception) -> Exit:
+    """Say what is broken; a defect is told whole, and not to be taken for a task that failed safely."""
+    match error:
+        case DualbrainError():
+            print(f"dualbrain: {error}", file=sys.stderr)
+        case OSError():
+            print(f"dualbrain: {error.strerror or error}: {error.filename or ''}".rstrip(": "), file=sys.stderr)
+        case _:
+            traceback.print_exception(error)
+    return Exit.USAGE if isinstance(error, WrongUsage) else Exit.SETUP

@@ -1,0 +1,13 @@
+"""An exception that nobody expected is told whole, and is neither success nor a task that failed safely."""
+
+from dualbrain.cli import main
+from dualbrain.cli.exits import Exit
+
+
+def test_a_defect_is_no_safe_failure(monkeypatch, capsys):
+    def broken(*arguments, **options):
+        raise ZeroDivisionError("no such thing")
+
+    monkeypatch.setattr(main, "app", broken)
+    assert main.call(["doctor"]) == Exit.SETUP
+    assert "ZeroDivisionError: no such thing" in capsys.readouterr().err
