@@ -30,7 +30,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 class EpisodeInfo(msgspec.Struct, frozen=True):
-    """What is known when recording starts (instruction, robot, seed, versions, filter configuration, ...)."""
+    """What is known when recording starts (robot, guard, instruction, versions)."""
 
     t: float
     data: dict[str, Any]

@@ -23,7 +23,7 @@ from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, MemoryConfig, StoreReport
 from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.registry import open_planner
+from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
 from dualbrain.records import Episode
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.given import GivenContract
@@ -57,7 +57,7 @@ class RunConfig:
     cache: Path
     robot: str = "panda"
     scene: str = "0"
-    planner: str = "qwen2.5-coder-1.5b-instruct"
+    planner: str = DEFAULT_PLANNER
     contract: Path | None = None
     guard: bool = True
     seed: int = 0

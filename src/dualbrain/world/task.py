@@ -20,7 +20,6 @@ from dualbrain.world.scene_spec import SceneSpec, Thing
 NEAR_PLACE = 0.05  # [m] in the plane
 REACHED = 0.05  # [m] from the tool to the thing
 LIFTED = 0.03  # [m] above where it stood
-GRASP_FORCE = 0.5  # [N] on both fingers
 STATIC_SPEED, STATIC_TURN = 0.02, 0.5  # [m/s], [rad/s]
 TILT = float(np.deg2rad(15.0))
 
