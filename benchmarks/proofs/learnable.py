@@ -27,7 +27,7 @@ def families(rows: Iterable[Row]) -> dict[tuple[str, float], Scores]:
     """The scores by (family, speed); contracts that the gate refused are left out."""
     tables: dict[tuple[str, float], Scores] = defaultdict(lambda: defaultdict(dict))
     for row in rows:
-        if row.get("valid"):
+        if row.get("valid") and not row.get("again"):
             values = row["parameters"]
             contract = " ".join(str(value) for name, value in values.items() if name != "speed")
             score = max(row["Delta"], FLOOR) if succeeded(row) else FAILED
@@ -41,8 +41,26 @@ def ratios(scores: Scores) -> list[float]:
     return [max(values) / min(values) for values in good if len(values) > 1]
 
 
+def repeats(rows: Iterable[Row]) -> dict[tuple[str, float], list[float]]:
+    """By (family, speed): rank correlation of the contracts in one scene between two seeds of the perception's noise.
+
+    The same scene must rank its contracts alike, else Δ would be luck; different scenes need not (see `regret`).
+    """
+    rows = [row for row in rows if row.get("valid")]
+    pairs: dict[tuple[str, float], list[float]] = defaultdict(list)
+    for family, speed, seed in sorted(
+        {(r["family"], r["parameters"]["speed"], r["seed"]) for r in rows if r.get("again")}
+    ):
+        here = [r for r in rows if (r["family"], r["parameters"]["speed"], r["seed"]) == (family, speed, seed)]
+        once = families([r for r in here if not r.get("again")]).get((family, speed), {})
+        twice = families([{**r, "again": False} for r in here if r.get("again")])[family, speed]
+        if seed in once:
+            pairs[family, speed] += spearmans({0: once[seed], 1: twice[seed]})
+    return pairs
+
+
 def spearmans(scores: Scores) -> list[float]:
-    """Rank correlation between each two seeds over their common contracts; a constant line says nothing."""
+    """Rank correlation between each two lines over their common contracts; a constant line says nothing."""
     found: list[float] = []
     for first, second in combinations(scores.values(), 2):
         common = sorted(first.keys() & second.keys())
@@ -89,6 +107,7 @@ class Learnable:
     episodes: int
     successes: int
     ratios: list[float]
+    across: list[float]
     spearmans: list[float]
     best_fixed: str
     regret_success: float
@@ -117,8 +136,13 @@ class Learnable:
 
     @property
     def rank_words(self) -> str:
-        """Median over pairs of seeds, then the range."""
+        """In one scene under other noise, median and range."""
         return _spread(self.spearmans, "{:.2f}")
+
+    @property
+    def across_words(self) -> str:
+        """Between different scenes of the family, median and range; no part of the bar."""
+        return _spread(self.across, "{:.2f}")
 
     @property
     def regret_words(self) -> str:
@@ -135,14 +159,16 @@ def _spread(values: list[float], form: str) -> str:
     return f"{middle} ({low}–{high}, n={len(values)})"
 
 
-def verdicts(tables: dict[tuple[str, float], Scores]) -> list[Learnable]:
+def verdicts(rows: Iterable[Row]) -> list[Learnable]:
     """One verdict a family and speed, families in order."""
+    rows = list(rows)
     found: list[Learnable] = []
+    tables, again = families(rows), repeats(rows)
     for family, speed in sorted(tables, key=lambda key: (FAMILIES.index(key[0]), key[1])):
         scores = tables[family, speed]
         values = [value for line in scores.values() for value in line.values()]
         good = sum(value < FAILED for value in values)
         contracts = len({name for line in scores.values() for name in line})
-        figures = (ratios(scores), spearmans(scores), *regret(scores))
+        figures = (ratios(scores), spearmans(scores), again.get((family, speed), []), *regret(scores))
         found.append(Learnable(family, speed, len(scores), contracts, len(values), good, *figures))
     return found

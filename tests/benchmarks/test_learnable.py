@@ -9,10 +9,10 @@ from scipy.stats import spearmanr
 values = st.one_of(st.floats(FLOOR, 0.5), st.just(FAILED))
 
 
-def row(seed, name, Delta, *, good=True, family="tall", speed=0.2, valid=True):
+def row(seed, name, Delta, *, good=True, family="tall", speed=0.2, valid=True, again=False):
     return {
         "family": family, "seed": seed, "parameters": {"speed": speed, "route": name}, "valid": valid, "Delta": Delta,
-        "outcome": "succeeded" if good else "taken_over", "truth": good,
+        "outcome": "succeeded" if good else "taken_over", "truth": good, "again": again,
     }  # fmt: skip
 
 
@@ -48,15 +48,25 @@ def test_the_bar_is_met_when_seeds_differ_and_missed_when_one_rule_is_best():
     base = {"a": 1e-4, "b": 4e-4, "c": 9e-4}
     rows = [row(seed, name, Delta) for seed in (0, 1) for name, Delta in base.items()]
     rows += [row(seed, "d", 0.0, good=False) for seed in (0, 1)]
-    (same,) = verdicts(families(rows))
+    rows += [row(0, name, 1.1 * Delta, again=True) for name, Delta in base.items()]
+    (same,) = verdicts(rows)
     assert same.words == "missed: regret"
-    (differs,) = verdicts(families([*rows, row(1, "b", 1e-4), row(1, "a", 4e-4)]))
+    (differs,) = verdicts([*rows, row(1, "b", 1e-4), row(1, "a", 4e-4)])
     assert differs.words == "met"
     assert differs.best_fixed in ("a", "b")
     assert differs.regret_delta > 0.0
 
 
+def test_rankings_must_repeat_in_one_scene_not_between_scenes():
+    rows = [row(seed, name, Delta) for seed in (0, 1) for name, Delta in (("a", 1e-4), ("b", 4e-4), ("c", 9e-4))]
+    rows += [row(0, name, Delta, again=True) for name, Delta in (("a", 9e-4), ("b", 4e-4), ("c", 1e-4))]
+    (shuffled,) = verdicts(rows)
+    assert shuffled.spearmans == [pytest.approx(-1.0)]
+    assert shuffled.across == [pytest.approx(1.0)]
+    assert not shuffled.parts["repeats"]
+
+
 def test_a_family_without_any_success_says_so():
-    (lost,) = verdicts(families([row(seed, name, 0.0, good=False) for seed in (0, 1) for name in "ab"]))
+    (lost,) = verdicts([row(seed, name, 0.0, good=False) for seed in (0, 1) for name in "ab"])
     assert lost.words == "missed: threefold, repeats, success varies, regret"
     assert lost.regret_words == "no contract succeeds"

@@ -62,14 +62,15 @@ def carry_out(
                 finished = session.run(_onlooker(console, album, lookout, waiting))
             finally:
                 waiting.stop()
-        album.snap("the end")
-        write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
-        album.close()
         for cut in session.interrupted:
             console.print(f"[yellow]{escape(str(cut))}[/]")
-        _tell(console, finished, out)
+        _tell(console, finished)
         if as_json:
             answer(msgspec.json.encode(summary(finished.episode, out)).decode())
+        album.snap("the end")
+        album.close()
+        write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
+        console.print(f"[dim]report: {out / 'report.html'}[/]")
         if lookout:
             lookout.finish(finished.episode, stay=stay)
     return exit_code(finished.episode)
@@ -118,7 +119,7 @@ def _onlooker(console: Console, album: Album, lookout: Lookout | None, waiting: 
     return Onlooker(on_event, lookout.moment if lookout else lambda moment: None, album.phase)
 
 
-def _tell(console: Console, finished: Finished, out: Path) -> None:
+def _tell(console: Console, finished: Finished) -> None:
     """The last lines: outcome, numbers, memory, where things lie."""
     episode, outcome = finished.episode, finished.episode.outcome
     colour = "green" if succeeded(episode) else "yellow"
@@ -135,7 +136,6 @@ def _tell(console: Console, finished: Finished, out: Path) -> None:
             )
         console.print(f"simulator truth: {'success' if episode.judgement.success else 'no success'}")
     console.print(f"[dim]{finished.stored}[/]")
-    console.print(f"[dim]report: {out / 'report.html'}[/]")
 
 
 class _Pace:

@@ -25,7 +25,7 @@ class Album:
 
     def __init__(self, plant: Plant, console: Console, no_graphics: str = "") -> None:
         """Open the camera; `no_graphics` is why no GL library is in use, if that is so."""
-        self._plant = plant
+        self._plant, self._console = plant, console
         self._seen: set[str] = set()
         self.pictures: list[Snapshot] = []
         self._camera: Camera | None = None
@@ -41,9 +41,13 @@ class Album:
             self.snap(MOMENTS[phase])
 
     def snap(self, caption: str) -> None:
-        """Take a picture now."""
+        """Take a picture now; a camera that fails is not asked again: no picture is worth a run."""
         if self._camera:
-            self.pictures.append(Snapshot(self._plant.now, caption, self._camera.snap().copy()))
+            try:
+                self.pictures.append(Snapshot(self._plant.now, caption, self._camera.snap().copy()))
+            except Exception as why:
+                self._camera = None
+                self._console.print(f"[yellow]no more pictures:[/] {escape(str(why))}")
 
     def close(self) -> None:
         """Release the camera."""

@@ -31,8 +31,8 @@ from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabular
 
 STAGES = get_args(Stage)
 """The gate's stages, in their order."""
-CONTRACT_LIFE = 120.0
-"""A contract that was not accepted within this time of the question is too old [s]."""
+CONTRACT_LIFE = 660.0
+"""A contract that was not accepted within this time of the question is too old [s]; planners give up before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def run_episode(
     recall = memory.recall(
         errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars
     )  # fmt: skip
-    gate = Gate(registry, grants(registry), scene_rules(scene, layer.limb))
+    gate = Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
     request = PlanRequest(
         errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
         registry.decoding_schema(names), contract_id="c-0001",
@@ -85,7 +85,7 @@ def run_episode(
             break
         stamp = Stamp(shot, asked, asked + CONTRACT_LIFE, PLANNER, scene.version)
         verdict, gate_s = thinking.timed(
-            lambda text=proposal, stamp=stamp: _check(gate, text, names, layer.state.stamp, stamp)
+            lambda text=proposal, stamp=stamp: _check(gate, text, scene_names(layer.scene), layer.state.stamp, stamp)
         )
         attempts.append(Attempt(msgspec.structs.replace(proposal, text=storable(proposal.text)), verdict, gate_s))
         layer.log.attempt(layer.state.stamp, attempts[-1])
@@ -122,6 +122,12 @@ def _unmoved(layer: LocalLayer, shots: int, verdict: Verdict | None) -> Outcome:
     if layer.interrupted():
         return Outcome("aborted", "interrupted by a person before a contract was accepted")
     return Outcome("rejected", _verdict_words(shots, verdict))
+
+
+def _against_scene(contract: Contract, layer: LocalLayer) -> Rejected | None:
+    """The first of the scene's rules that refuses, by the scene and the hand as they are at this moment."""
+    refusals = (rule(contract) for rule in scene_rules(layer.scene, layer.limb))
+    return next((refusal for refusal in refusals if refusal), None)
 
 
 def _verdict_words(shot: int, verdict: Verdict | None) -> str:

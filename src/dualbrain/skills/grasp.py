@@ -82,7 +82,7 @@ def story(
         return Ending(Status.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
     limb.opening = opening / 2
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), at.position, 4.0, "approach", reach=0.3))
+        why := (yield from wait_for_people(limb, limb.here(), at.position, 4.0, "approach", speed, reach=0.3))
     ):
         return why
     if why := (yield from _come_near(limb, _above(limb, at, thing, clearance), speed)):
@@ -100,7 +100,7 @@ def _seize(
     above = _above(limb, at, thing, clearance)
     brink = _brink(limb, at, thing)
     why = yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")
-    if why and not _around(limb, thing):
+    if why and not (why.status is Status.TAKEN_OVER and _around(limb, thing)):
         return why
     if why := (yield from limb.close(force)):
         return why

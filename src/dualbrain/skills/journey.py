@@ -61,7 +61,7 @@ def come_down(
     """
     horizon = 2.0 + 2.0 * float(above.position[2] - down.position[2]) / speed
     while True:
-        if why := (yield from wait_for_people(limb, above, down.position, horizon, approach)):
+        if why := (yield from wait_for_people(limb, above, down.position, horizon, approach, speed)):
             return why
         why = yield from limb.reach(brink, phase, speed)
         if why is None:
@@ -71,12 +71,12 @@ def come_down(
 
 
 def wait_for_people(
-    limb: Limb, station: Goal, spot: Array, horizon: float, phase: str, *, reach: float = BESIDE
-) -> Part:
+    limb: Limb, station: Goal, spot: Array, horizon: float, phase: str, speed: float, *, reach: float = BESIDE
+) -> Part:  # fmt: skip
     """Stay at `station` until no person's sweep over `horizon` [s] comes within `reach` [m] of `spot`, from above."""
     start = limb.senses.now
     while True:
-        if why := (yield from arrive(limb, station, phase, 0.2)):
+        if why := (yield from arrive(limb, station, phase, min(speed, 0.2))):
             return why
         if not may_be_over(limb.senses.scene, spot, horizon, reach, limb.senses.now):
             return None

@@ -66,7 +66,7 @@ class Limb:
         self._motion = motion
         self._senses: Senses | None = None
         self._touches: dict[str, tuple[Touch, ...]] = {}
-        self._looked_at: tuple[float, float, bool] | None = None
+        self._looked_at: tuple[float, float, float, bool] | None = None
         self._threat: float | None = None
 
     # --- senses -------------------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ class Limb:
         scene, now = self.senses.scene, self.senses.now
         if not any(thing.role == "person" for thing in scene.objects):
             return None
-        key = (scene.stamp, horizon, ever)
+        key = (scene.stamp, horizon, reach, ever)
         if key != self._looked_at:
             lowest = -1.0 if ever else float(self.senses.tool.position[2]) - self.below_tool
             self._looked_at, self._threat = key, threat(scene, spot, lowest, horizon, reach, now)

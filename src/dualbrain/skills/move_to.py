@@ -50,7 +50,7 @@ def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str
         return Ending(Status.FAILED, f"above {target} is out of reach")
     middle = (tool.position + point) / 2
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "approach", reach=0.35))
+        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "approach", speed, reach=0.35))
     ):
         return why
     points = [lifted(limb.here(), height)] if tool.position[2] < height - 0.01 else []

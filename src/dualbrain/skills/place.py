@@ -74,7 +74,7 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         return Ending(Status.FAILED, f"{destination} is out of reach")
     middle = (limb.senses.tool.position + point) / 2
     if wait == "until_clear" and (
-        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "carry", reach=0.35))
+        why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "carry", speed, reach=0.35))
     ):
         return why
     height = max(limb.floor + clearance + held.below_tool, float(down.position[2]) + BRINK)
