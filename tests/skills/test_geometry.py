@@ -72,3 +72,19 @@ def test_along_and_across_are_perpendicular_and_level(yaw):
     assert np.isclose(along @ across, 0.0)
     assert along[2] == across[2] == 0.0
     assert np.isclose(np.linalg.norm(along), 1.0)
+
+
+@given(yaw=yaws, tilt=st.floats(0.0, np.pi))
+def test_the_width_between_fingers_is_that_of_the_corners(yaw, tilt):
+    box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
+    corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
+    for axis in ("along", "across"):
+        reach = corners @ matrix(box.pose.quaternion).T @ geometry.finger_direction(box, axis)
+        assert np.isclose(geometry.width(box, axis), np.ptp(reach))
+
+
+def test_a_lying_cylinder_is_as_wide_as_it_is_long():
+    lying = thing(Cylinder(0.02, 0.06), tilt=np.pi / 2)
+    assert np.isclose(geometry.width(lying, "along"), 0.04)
+    assert np.isclose(geometry.levelness(lying, "along"), 1.0)
+    assert np.isclose(geometry.levelness(lying, "across"), 0.0, atol=1e-9)

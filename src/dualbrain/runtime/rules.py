@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene
-from dualbrain.skills.geometry import width
+from dualbrain.skills.geometry import levelness, width
 from dualbrain.skills.grasp import grasp_goal
 from dualbrain.skills.limb import Limb
 
+LEVEL = 0.7
+"""The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
 FINGER_ROOM = 0.010
 """The fingers must be open at least this much wider than the thing they go around [m]."""
 
@@ -66,6 +68,10 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
             continue
         params, pointer = action.params, f"/action_sequence/{index}/params"
         thing = scene.find(str(params["object"]))
+        if levelness(thing, str(params["finger_axis"])) < LEVEL:
+            other = "across" if params["finger_axis"] == "along" else "along"
+            hint = f"{thing.name} lies so that this axis points up: no finger can close along it"
+            return Rejected("envelope", f"{pointer}/finger_axis", params["finger_axis"], [other], hint)
         needed = width(thing, str(params["finger_axis"])) + FINGER_ROOM
         widest = 2.0 * limb.body.gripper.opening.value
         if float(params["opening"]) < needed:

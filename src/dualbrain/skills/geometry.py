@@ -47,16 +47,25 @@ def bottom(thing: SceneObject) -> float:
 
 
 def width(thing: SceneObject, finger_axis: str) -> float:
-    """Extent of `thing` along the named finger axis of its own frame [m]."""
+    """Extent of `thing` between fingers that close along the named axis [m], as it stands or lies."""
+    direction, axes = finger_direction(thing, finger_axis), matrix(thing.pose.quaternion)
+    lean = abs(float(direction @ axes[:, 2]))
     match thing.shape:
         case Box(half_extents):
-            return 2.0 * half_extents[0 if finger_axis == "along" else 1]
-        case Sphere(radius) | Capsule(radius, _) | Cylinder(radius, _):
+            return 2.0 * float(np.abs(direction @ axes) @ np.asarray(half_extents))
+        case Sphere(radius) | Bowl(radius, _, _):
             return 2.0 * radius
-        case Bowl(radius, _, _):
-            return 2.0 * radius
+        case Capsule(radius, half_length):
+            return 2.0 * (radius + lean * half_length)
+        case Cylinder(radius, half_height):
+            return 2.0 * (radius * float(np.sqrt(max(0.0, 1.0 - lean * lean))) + lean * half_height)
         case _:
             return 0.0
+
+
+def levelness(thing: SceneObject, finger_axis: str) -> float:
+    """Length of the horizontal part of the named axis, 1 when it is level, 0 when it points up."""
+    return float(np.linalg.norm(matrix(thing.pose.quaternion)[:2, 0 if finger_axis == "along" else 1]))
 
 
 def finger_direction(thing: SceneObject, finger_axis: str) -> Array:

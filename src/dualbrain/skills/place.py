@@ -79,19 +79,25 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         return why
     height = max(limb.floor + clearance + held.below_tool, float(down.position[2]) + BRINK)
     above = lifted(down, height)
-    if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)):
+    if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)) or _lost(limb, held.name):
         return why
     brink = lifted(down, min(height, float(down.position[2]) + BRINK))
-    if why := (yield from come_down(limb, above, brink, down, "lower", min(speed, 0.2), approach="carry")):
+    why = yield from come_down(limb, above, brink, down, "lower", min(speed, 0.2), approach="carry")
+    if why or (why := _lost(limb, held.name)):
         return why
-    if not limb.grips():
-        limb.holding = None
-        return Ending(Status.FAILED, f"carry: {held.name} was lost on the way")
     yield from limb.open(limb.body.gripper.opening.value)
     away = lifted(down, float(down.position[2]) + AWAY)
     if why := (yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)):
         return why
     return _look(limb, held.name, destination, point, radius)
+
+
+def _lost(limb: Limb, name: str) -> Ending | None:
+    """Why the load counts as lost, when the fingers no longer feel it; it is an obstacle again from then on."""
+    if limb.grips():
+        return None
+    limb.holding = None
+    return Ending(Status.FAILED, f"carry: {name} was lost on the way")
 
 
 def _release_goal(limb: Limb, position: Array) -> Goal | None:
