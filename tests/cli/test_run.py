@@ -48,7 +48,13 @@ def test_the_pick_succeeds_by_robot_and_by_truth(finished):
 
 def test_the_account_is_on_stderr(finished):
     _, _, out, err = finished
-    for words in ("shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place", "grasp: lift", "intervened on", "weights:", "report:"):
+    for words in (
+        "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place",
+        "grasp: lift",
+        "intervened on",
+        "weights:",
+        "report:",
+    ):
         assert words in err
         assert words not in out
 
