@@ -125,3 +125,38 @@ def test_the_order_of_actions_is_kept_and_a_failure_ends_it():
     assert [action.status for action in outcome.actions] == ["done", "failed", "not_run"]
     assert "nothing is held" in outcome.reason
     assert outcome.duration < 1.0
+
+
+def move_to(target, **changes):
+    return (
+        "move_to",
+        {"target": target, "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none", **changes},
+    )
+
+
+@pytest.mark.parametrize(
+    "journey",
+    [
+        ("red_cube", {"speed": 0.4, "clearance": 0.35, "route": "left"}),
+        ("blue_bowl", {"clearance": 0.03, "route": "near_base"}),
+        ("table_left", {"speed": 0.4, "route": "right"}),
+    ],
+    ids=lambda journey: journey[0],
+)
+def test_going_above_things_and_places_is_left_alone(journey):
+    bench = Bench(seed=3, noise=Noise())
+    outcome = bench.run(move_to(journey[0], **journey[1]))
+    assert (outcome.kind, bench.untouched()) == ("succeeded", True)
+    assert bench.monitor.violations() == ()
+
+
+def test_a_long_errand_with_every_other_skill_is_left_alone():
+    bench = Bench(seed=1, noise=Noise())
+    home = ("home", {"speed": 0.4})
+    outcome = bench.run(
+        grasp(clearance=0.1), ("hold", {"duration": 0.5}), home, move_to("table_left", clearance=0.03),
+        ("release", {"speed": 0.2}), home,
+    )  # fmt: skip
+    assert [action.status for action in outcome.actions] == ["done"] * 6, outcome.reason
+    assert bench.untouched()
+    assert not [one for one in bench.monitor.violations() if one.kind != "object_dropped"]

@@ -63,10 +63,12 @@ class SimulatedWorld:
 
     def allow(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell the monitor which contacts the running phase is about."""
-        held = roles.get("held")
+        held, target = roles.get("held"), roles.get("target")
+        if target not in self.plant.names:  # a place is nothing that could be touched
+            target = None
         moving = "carry" if held else "free"
         allowed = "lift" if phase == "rise" and held else ALLOWANCES.get(phase, moving)
-        self.monitor.allow(roles.get("target"), held, roles.get("destination"), allowed)
+        self.monitor.allow(target, held, roles.get("destination"), allowed)
 
     def judgement(self) -> Judgement:
         """Success, progress and violations on truth; without any goal nothing can have succeeded."""
