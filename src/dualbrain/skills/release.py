@@ -23,7 +23,9 @@ def spec(body: Body) -> SkillSpec:
         (
             ContactPermit("open", "held", "support", touch),
             ContactPermit("open", "fingers", "target", touch),
+            ContactPermit("open", "hand", "target", touch),
             ContactPermit("retreat", "fingers", "target", touch),
+            ContactPermit("retreat", "hand", "target", touch),
         ),
     )
 
