@@ -77,14 +77,15 @@ class Bare:
 
 
 def _counts(rows: list[Row]) -> list[tuple[str, ...]]:
-    lines: list[tuple[str, ...]] = []
-    for grid in dict.fromkeys(row.get("grid", "errand") for row in rows):
-        all_ = [row for row in rows if row.get("grid", "errand") == grid]
-        valid = [row for row in all_ if row["valid"]]
-        still = sum(row["delta_max"] == 0.0 for row in valid)
-        counts = (len(all_), len(all_) - len(valid), sum(map(succeeded, valid)), still)
-        lines.append((grid, *(str(count) for count in counts)))
-    return lines
+    return [
+        _count(grid, [one for one in rows if one["grid"] == grid]) for grid in dict.fromkeys(r["grid"] for r in rows)
+    ]
+
+
+def _count(grid: str, rows: list[Row]) -> tuple[str, ...]:
+    valid = [one for one in rows if one["valid"]]
+    still = sum(one["delta_max"] == 0.0 for one in valid)
+    return (grid, *map(str, (len(rows), len(rows) - len(valid), sum(map(succeeded, valid)), still)))
 
 
 def _shuffled(grid: dict[str, Any]) -> list[dict[str, Any]]:
