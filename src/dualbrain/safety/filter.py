@@ -59,7 +59,7 @@ class SafetyFilter:
 
     # --- what the filter knows --------------------------------------------------------------------------------
 
-    def observe(self, obstacles: Sequence[Obstacle], stamp: float) -> None:
+    def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
         self._kernel.set_obstacles(obstacle_rows(obstacles))
         self._obstacles, self._stamp = tuple(obstacles), stamp
@@ -102,6 +102,14 @@ class SafetyFilter:
         self._kernel.reset(np.ascontiguousarray(np.broadcast_to(np.asarray(u_prev, float), (self.body.n,))))
 
     # --- control ----------------------------------------------------------------------------------------------
+
+    def __call__(self, q: Array, v: Array, u_nom: Array, now: float = 0.0, *, opening: float = 0.0) -> Filtered:
+        """One control step from joint angles q, velocities v and the nominal control u_nom, each (n,), SI.
+
+        With moving obstacles `now` [s] must be the time on the clock of `observe`'s stamps; the state counts as fresh.
+        """
+        state = RobotState(now, 0, np.asarray(q, float), np.asarray(v, float), opening, (0.0, 0.0))
+        return self.filter(state, np.ascontiguousarray(u_nom, float), now)
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
