@@ -29,7 +29,7 @@ static void choose(const dbk_model *model, const dbk_ctx *ctx, const dbk_adversa
 void dbk_closed_loop(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_adversary *adversary,
                      double *q, double *q_log, double *u_log, int8_t *status_log, dbk_tally *tally) {
   uint64_t state = adversary->seed;
-  dbk_in in = {{0}, {0}, {0}, (dbk_real)0, (dbk_real)0, (dbk_real)0};
+  dbk_in in = {.opening = (dbk_real)0};
   dbk_out out;
   ctx->rows.count = 0;
   for (int32_t t = 0; t < adversary->steps; ++t) {

@@ -54,10 +54,11 @@ void read_obstacle(const double *row, dbk_obstacle *o) {
   auto take = [&row](dbk_real *to, int count) {
     for (int i = 0; i < count; ++i) { to[i] = static_cast<dbk_real>(*row++); }
   };
-  dbk_real head[2];
-  take(head, 2);
-  o->shape = static_cast<int32_t>(head[0]);
-  o->flags = static_cast<int32_t>(head[1]);
+  o->shape = static_cast<int32_t>(*row++);
+  o->flags = static_cast<int32_t>(*row++);
+  o->rank = static_cast<int32_t>(*row++);
+  o->parts = static_cast<uint32_t>(*row++);
+  take(&o->alpha, 1);
   take(o->position, 3);
   take(o->rotation, 9);
   take(o->half, 3);
@@ -65,8 +66,11 @@ void read_obstacle(const double *row, dbk_obstacle *o) {
   take(o->velocity, 3);
   take(&o->margin, 1);
   take(&o->velocity_error, 1);
+  take(&o->reaction, 1);
+  take(&o->brake, 1);
+  take(&o->approach, 1);
 }
-constexpr size_t kObstacle = 23;
+constexpr size_t kObstacle = 29;
 
 struct Kernel {
   std::unique_ptr<dbk_model> model{new dbk_model()};
@@ -83,6 +87,8 @@ struct Kernel {
     m.n = static_cast<int32_t>(n);
     m.period = number(d, "period");
     m.alpha = number(d, "alpha");
+    m.alpha_self = number(d, "alpha_self");
+    m.alpha_joint = number(d, "alpha_joint");
     m.recovery = number(d, "recovery");
     m.sampling = number(d, "sampling");
     m.rounding = number(d, "rounding");
@@ -97,6 +103,8 @@ struct Kernel {
     fill(d, "q_upper", m.q_upper, n);
     fill(d, "v_max", m.v_max, n);
     fill(d, "a_max", m.a_max, n);
+    fill(d, "j_max", m.j_max, n);
+    fill(d, "joint_kind", m.joint_kind, n);
     const std::vector<double> scale = values(d, "scale");
     expect(scale.size() == n * n, "scale");
     for (size_t i = 0; i < n; ++i) {
@@ -126,7 +134,7 @@ struct Kernel {
 
   void set_obstacles(const Array &rows) {
     const size_t count = rows.size() / kObstacle;
-    expect(count <= DBK_MAX_OBSTACLES && rows.size() == count * kObstacle, "obstacle rows have 23 columns");
+    expect(count <= DBK_MAX_OBSTACLES && rows.size() == count * kObstacle, "obstacle rows have 29 columns");
     for (size_t i = 0; i < count; ++i) { read_obstacle(rows.data() + kObstacle * i, &scene->obstacle[i]); }
     scene->n_obstacles = static_cast<int32_t>(count);
     dbk_scene_prepare(scene.get());
@@ -156,6 +164,29 @@ struct Kernel {
     scene->n_held = static_cast<int32_t>(count);
     scene->held_error = static_cast<dbk_real>(error);
     dbk_scene_prepare(scene.get());
+  }
+
+  // rows a'u >= b of one step: (k, n + 3) of a, b, h, rank
+  void constrain(const Array &rows) {
+    const size_t width = n + 3, count = rows.size() / width;
+    expect(count <= DBK_MAX_USER && rows.size() == count * width, "user rows have n + 3 columns");
+    for (size_t r = 0; r < count; ++r) {
+      const double *row = rows.data() + r * width;
+      for (size_t k = 0; k < DBK_MAX_DOF; ++k) { scene->user_a[r][k] = k < n ? static_cast<dbk_real>(row[k]) : 0; }
+      scene->user_b[r] = static_cast<dbk_real>(row[n]);
+      scene->user_h[r] = static_cast<dbk_real>(row[n + 1]);
+      scene->user_rank[r] = static_cast<int32_t>(row[n + 2]);
+    }
+    scene->n_user = static_cast<int32_t>(count);
+    dbk_scene_prepare(scene.get());
+  }
+
+  // where the base stands from now on: rotation 9 row-major, position 3
+  void stand(const Array &pose) {
+    expect(pose.size() == 12, "base pose");
+    for (size_t e = 0; e < 9; ++e) { in.base_rotation[e] = static_cast<dbk_real>(pose.data()[e]); }
+    for (size_t e = 0; e < 3; ++e) { in.base_position[e] = static_cast<dbk_real>(pose.data()[9 + e]); }
+    in.mobile = 1;
   }
 
   void reset(const Array &u_prev) {
@@ -192,7 +223,8 @@ struct Kernel {
       active = nb::tuple(rows);
     }
     return nb::make_tuple(out.status, out.flags, double(out.delta), double(out.delta_rows), double(out.delta_box),
-                          double(out.h_min), out.certified != 0, out.iterations, out.n_rows, active);
+                          double(out.h_min), out.certified != 0, out.iterations, out.n_rows, active,
+                          out.relaxed);
   }
 
   int project(const Array &q, const Array &v, const Array &wish, const Array &u_prev, double opening, double state_age,
@@ -216,6 +248,7 @@ struct Kernel {
     dbk_frames f;
     copy(q, angles, n, "q");
     expect(to.size() == 12 + 6 * n, "tool buffer");
+    dbk_base(&in, &f);
     dbk_fk(model.get(), angles, &f);
     const dbk_real *r = f.rotation[n], *o = f.origin[n], *t = model->tool_offset, *w = model->tool_rotation;
     double *out_ = to.data();
@@ -240,6 +273,7 @@ struct Kernel {
     dbk_frames f;
     dbk_cloud cloud;
     copy(q, angles, n, "q");
+    dbk_base(&in, &f);
     dbk_fk(model.get(), angles, &f);
     dbk_spheres(model.get(), scene.get(), &f, static_cast<dbk_real>(opening), &cloud);
     expect(to.size() >= static_cast<size_t>(4 * cloud.count), "sphere buffer");
@@ -386,12 +420,15 @@ NB_MODULE(DBK_MODULE, m) {
   m.attr("max_obstacles") = DBK_MAX_OBSTACLES;
   m.attr("max_spheres") = DBK_MAX_SPHERES;
   m.attr("max_held") = DBK_MAX_HELD;
+  m.attr("max_user") = DBK_MAX_USER;
   nb::class_<Kernel>(m, "Kernel")
       .def(nb::init<const nb::dict &>())
       .def("set_obstacles", &Kernel::set_obstacles)
       .def("clear_permits", &Kernel::clear_permits)
       .def("permit", &Kernel::permit)
       .def("attach", &Kernel::attach)
+      .def("constrain", &Kernel::constrain)
+      .def("stand", &Kernel::stand)
       .def("reset", &Kernel::reset)
       .def("step", &Kernel::step)
       .def("project", &Kernel::project)

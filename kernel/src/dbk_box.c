@@ -9,7 +9,7 @@ static dbk_real braking_speed(dbk_real a, dbk_real period, dbk_real d) {
 
 /* greatest speed toward a limit at distance d: min(alpha d, v_b(d)); outside, the way back */
 static dbk_real approach(const dbk_model *model, int32_t k, dbk_real d) {
-  const dbk_real linear = model->alpha * d;
+  const dbk_real linear = model->alpha_joint * d;
   if (!(d > (dbk_real)0)) { return dbk_max(linear, -(dbk_real)4 * model->recovery) - model->tracking; }
   return dbk_min(linear, braking_speed(model->a_max[k], model->period, d)) - model->tracking;
 }
@@ -31,6 +31,29 @@ void dbk_box(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_re
     lower[k] = dbk_clamp(to_lower, low, high);
     upper[k] = dbk_clamp(to_upper, lower[k], high);
   }
+}
+
+/* u_prev + change -+ j dt^2, and no faster toward v_max than the acceleration can still be taken back in time */
+int32_t dbk_jerk_box(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], const dbk_real change[DBK_MAX_DOF],
+                     dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF]) {
+  const dbk_real dt = model->period;
+  int32_t room = 1;
+  for (int32_t k = 0; k < model->n; ++k) {
+    const dbk_real j = model->j_max[k];
+    if (!(j > (dbk_real)0)) { continue; }
+    const dbk_real twist = j * dt * dt;
+    const dbk_real up = dt * braking_speed(j, dt, dbk_max(model->v_max[k] - u_prev[k], (dbk_real)0));
+    const dbk_real down = dt * braking_speed(j, dt, dbk_max(model->v_max[k] + u_prev[k], (dbk_real)0));
+    const dbk_real low = u_prev[k] + dbk_max(change[k] - twist, dbk_min(-down, change[k] + twist));
+    const dbk_real high = u_prev[k] + dbk_min(change[k] + twist, dbk_max(up, change[k] - twist));
+    if (low > upper[k] || high < lower[k]) {
+      room = 0;
+      continue;
+    }
+    lower[k] = dbk_max(lower[k], low);
+    upper[k] = dbk_min(upper[k], high);
+  }
+  return room;
 }
 
 /* hardest braking that keeps the direction of motion: every joint slows by the same factor, so that no row is approached

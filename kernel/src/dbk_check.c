@@ -39,8 +39,8 @@ static int32_t kept(const dbk_cloud *now, const dbk_cloud *next, const moment *m
 }
 
 static void ball(const dbk_cloud *cloud, int32_t i, dbk_obstacle *out) {
-  const dbk_obstacle shape = {DBK_CAPSULE, DBK_STATIC, {cloud->x[i], cloud->y[i], cloud->z[i]}, {0}, {0}, cloud->r[i],
-                              {0}, 0, 0};
+  const dbk_obstacle shape = {.shape = DBK_CAPSULE, .flags = DBK_STATIC, .radius = cloud->r[i],
+                              .position = {cloud->x[i], cloud->y[i], cloud->z[i]}};
   *out = shape;
 }
 
@@ -51,6 +51,7 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_frames frames;
   int32_t good = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = (in->q[k] + model->lag * in->v[k]) + model->period * u[k]; }
+  dbk_base(in, &frames);
   dbk_fk(model, y, &frames);
   dbk_spheres(model, scene, &frames, in->opening, &ctx->next);
   for (int32_t c = 0; c < ctx->visits.count; ++c) {

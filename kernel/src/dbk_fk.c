@@ -35,16 +35,23 @@ void dbk_sincos(dbk_real x, dbk_real *sine, dbk_real *cosine) {
   *cosine = (quarter == 1 || quarter == 2) ? -second : second;
 }
 
-/* frame i = frame i-1 * fixed transform * rotation about z by q_i */
+/* where the base stands: the world's origin unless it is mobile */
+void dbk_base(const dbk_in *in, dbk_frames *frames) {
+  for (int32_t e = 0; e < 9; ++e) {
+    frames->rotation[0][e] = in->mobile ? in->base_rotation[e] : ((e % 4 == 0) ? (dbk_real)1 : (dbk_real)0);
+  }
+  for (int32_t e = 0; e < 3; ++e) { frames->origin[0][e] = in->mobile ? in->base_position[e] : (dbk_real)0; }
+}
+
+/* frame i = frame i-1 * fixed transform * rotation about z, or shift along z, by q_i */
 void dbk_fk(const dbk_model *model, const dbk_real q[DBK_MAX_DOF], dbk_frames *frames) {
-  for (int32_t e = 0; e < 9; ++e) { frames->rotation[0][e] = (e % 4 == 0) ? (dbk_real)1 : (dbk_real)0; }
-  for (int32_t e = 0; e < 3; ++e) { frames->origin[0][e] = (dbk_real)0; }
   for (int32_t i = 0; i < model->n; ++i) {
     const dbk_real *parent = frames->rotation[i];
     const dbk_real *fixed = model->joint_rotation[i];
     const dbk_real *offset = model->joint_offset[i];
-    dbk_real sine, cosine;
-    dbk_sincos(q[i], &sine, &cosine);
+    const int32_t slides = model->joint_kind[i] == DBK_PRISMATIC;
+    dbk_real sine = (dbk_real)0, cosine = (dbk_real)1;
+    if (!slides) { dbk_sincos(q[i], &sine, &cosine); }
     for (int32_t r = 0; r < 3; ++r) {
       const dbk_real *row = parent + 3 * r;
       const dbk_real x = row[0] * fixed[0] + row[1] * fixed[3] + row[2] * fixed[6];
@@ -53,6 +60,7 @@ void dbk_fk(const dbk_model *model, const dbk_real q[DBK_MAX_DOF], dbk_frames *f
       frames->rotation[i + 1][3 * r + 1] = cosine * y - sine * x;
       frames->rotation[i + 1][3 * r + 2] = row[0] * fixed[2] + row[1] * fixed[5] + row[2] * fixed[8];
       frames->origin[i + 1][r] = frames->origin[i][r] + (row[0] * offset[0] + row[1] * offset[1] + row[2] * offset[2]);
+      if (slides) { frames->origin[i + 1][r] += q[i] * frames->rotation[i + 1][3 * r + 2]; }
     }
   }
 }
@@ -93,12 +101,19 @@ void dbk_spheres(const dbk_model *model, const dbk_scene *scene, const dbk_frame
   cloud->count = first + scene->n_held;
 }
 
-/* geometric Jacobian of a point fixed to the last frame: column k is (z_k x (point - p_k), z_k) */
+/* geometric Jacobian of a point fixed to the last frame: column k is (z_k x (point - p_k), z_k), or (z_k, 0) */
 void dbk_jacobian(const dbk_model *model, const dbk_frames *frames, const dbk_real point[3],
                   dbk_real linear[3][DBK_MAX_DOF], dbk_real angular[3][DBK_MAX_DOF]) {
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real *r = frames->rotation[k + 1];
     const dbk_real zx = r[2], zy = r[5], zz = r[8];
+    if (model->joint_kind[k] == DBK_PRISMATIC) {
+      for (int32_t e = 0; e < 3; ++e) {
+        linear[e][k] = r[3 * e + 2];
+        angular[e][k] = (dbk_real)0;
+      }
+      continue;
+    }
     const dbk_real dx = point[0] - frames->origin[k + 1][0];
     const dbk_real dy = point[1] - frames->origin[k + 1][1];
     const dbk_real dz = point[2] - frames->origin[k + 1][2];

@@ -12,8 +12,19 @@ static void cross(const dbk_real a[3], const dbk_real b[3], dbk_real out[3]) {
   out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
+/* frame i+1 = frame i plus a slide at rate u along axis z; the axis itself turns with frame i */
+static void add_slide(const spatial *parent, const dbk_real z[3], dbk_real u, spatial *child) {
+  dbk_real dz[3];
+  cross(parent->w, z, dz);
+  *child = *parent;
+  for (int32_t e = 0; e < 3; ++e) {
+    child->v[e] += u * z[e];
+    child->dv[e] += u * dz[e];
+  }
+}
+
 /* frame i+1 = frame i plus a turn at rate u about axis z through p; the axis itself moves with frame i */
-static void add_joint(const spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, spatial *child) {
+static void add_turn(const spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, spatial *child) {
   dbk_real moment[3], dz[3], dp[3], wp[3], a[3], b[3];
   cross(p, z, moment); /* velocity at the origin of a unit turn: -z x p */
   cross(parent->w, z, dz);
@@ -87,7 +98,11 @@ void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
     const dbk_real middle = (dbk_real)0.5 * (ctx->lower[k] + ctx->upper[k]);
     const dbk_real wide = (dbk_real)0.5 * (ctx->upper[k] - ctx->lower[k]) + model->tracking;
     const dbk_real *restrict reach = model->reach[k];
-    add_joint(&chain[k], z, ctx->frames.origin[k + 1], middle, &chain[k + 1]);
+    if (model->joint_kind[k] == DBK_PRISMATIC) {
+      add_slide(&chain[k], z, middle, &chain[k + 1]);
+    } else {
+      add_turn(&chain[k], z, ctx->frames.origin[k + 1], middle, &chain[k + 1]);
+    }
     for (int32_t s = 0; s < total; ++s) { out->spread[s] += wide * reach[s]; }
   }
   for (int32_t l = 0; l <= model->n_links; ++l) {

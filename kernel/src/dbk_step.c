@@ -10,6 +10,9 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
       !dbk_finite(in->opening) || dbk_abs(in->opening) > (dbk_real)0.1) {
     flags |= DBK_BAD_INPUT;
   }
+  if (in->mobile && !(dbk_all_finite(in->base_rotation, 9) && dbk_all_finite(in->base_position, 3))) {
+    flags |= DBK_BAD_INPUT;
+  }
   if (!scene->ready) { flags |= DBK_BAD_SCENE; }
   /* ages below zero mean that a clock stepped; a few milliseconds of skew are forgiven */
   if (!(in->state_age <= model->state_age_max && in->state_age >= (dbk_real)-0.005)) { flags |= DBK_STALE_STATE; }
@@ -28,17 +31,19 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
 
 /* everything that the QP needs, at the lag-compensated state y = q + lag v */
 static int32_t build(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                     const dbk_real *u_prev, dbk_real extra, int32_t known_only) {
+                     const dbk_real *u_prev, const dbk_real *change, dbk_real extra, int32_t known_only) {
   dbk_real y[DBK_MAX_DOF];
-  int32_t conflict = 0;
+  int32_t conflict = 0, room = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = in->q[k] + model->lag * in->v[k]; }
   dbk_box(model, y, u_prev, ctx->lower, ctx->upper, &conflict);
+  if (change) { room = dbk_jerk_box(model, u_prev, change, ctx->lower, ctx->upper); }
+  dbk_base(in, &ctx->frames);
   dbk_fk(model, y, &ctx->frames);
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->cloud);
   dbk_set_motion(model, scene, ctx);
   dbk_build_rows(model, scene, ctx, in->scene_age, extra, known_only);
   return (ctx->rows.overflow ? DBK_ROW_OVERFLOW : 0) | (ctx->rows.stuck ? DBK_NO_GRADIENT : 0) |
-         (ctx->rows.unavoidable ? DBK_UNAVOIDABLE : 0) | (conflict ? DBK_INFEASIBLE : 0);
+         (ctx->rows.unavoidable ? DBK_UNAVOIDABLE : 0) | (conflict ? DBK_INFEASIBLE : 0) | (room ? 0 : DBK_JERK);
 }
 
 /* the warm start in this step's numbering */
@@ -48,7 +53,7 @@ static int32_t recall(const dbk_model *model, const dbk_ctx *ctx, int32_t ids[DB
     const int32_t kind = ctx->warm[w][0], i = ctx->warm[w][1], j = ctx->warm[w][2];
     if (kind == DBK_ROW_LOWER) { ids[count++] = i; }
     if (kind == DBK_ROW_UPPER) { ids[count++] = model->n + i; }
-    if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF) {
+    if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF || kind == DBK_ROW_USER) {
       for (int32_t r = 0; r < ctx->rows.count; ++r) {
         if (ctx->rows.i[r] == i && ctx->rows.j[r] == j && ctx->rows.kind[r] == kind) {
           ids[count++] = 2 * model->n + r;
@@ -89,11 +94,11 @@ static void remember(const dbk_model *model, dbk_ctx *ctx, dbk_out *out) {
   }
 }
 
-/* No control meets all rows. The reference is the hardest admissible braking. Rows about moving things, and rows that
- * braking itself cannot meet, share one slack (in m/s, capped by what the box can give); rows that braking meets stay
- * hard: a robot at rest is passively safe, so no certain collision is traded for a possible one. Always feasible. */
-static void relax(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *u) {
+/* what each row is worth when not all can be met: 0 = kept (braking meets it and it is about something that stands
+ * still: a robot at rest is passively safe, so no certain collision is traded for a possible one), else its rank */
+static int32_t grade(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *want, int32_t *level) {
   dbk_rows *rows = &ctx->rows;
+  int32_t lowest = 0;
   for (int32_t r = 0; r < rows->count; ++r) {
     dbk_real at_brake = (dbk_real)0, best = (dbk_real)0;
     for (int32_t k = 0; k < model->n; ++k) {
@@ -101,14 +106,38 @@ static void relax(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, d
       at_brake += a * brake[k];
       best += a > (dbk_real)0 ? a * ctx->upper[k] : a * ctx->lower[k];
     }
-    const int32_t hard = !rows->moving[r] && at_brake >= rows->b[r];
-    rows->soft[r] = hard ? (dbk_real)0 : dbk_min((dbk_real)1, SOFT / rows->norm[r]);
-    if (rows->b[r] > best) { rows->b[r] = best; }
+    level[r] = !rows->moving[r] && at_brake >= rows->b[r] ? 0 : rows->rank[r];
+    want[r] = dbk_min(rows->b[r], best); /* never more than the box can give */
+    lowest = level[r] > lowest ? level[r] : lowest;
   }
-  const int32_t result = dbk_qp(rows, model->n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0,
-                                &ctx->solution);
-  for (int32_t k = 0; k < model->n; ++k) {
-    u[k] = dbk_clamp(result == 0 ? ctx->solution.u[k] : brake[k], ctx->lower[k], ctx->upper[k]);
+  return lowest;
+}
+
+/* No control meets all rows. The reference is the hardest admissible braking. Rank by rank, the largest violation (in
+ * m/s, one slack for all rows of the rank) is made as small as the ranks above allow, and is granted to all below. */
+static void relax(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *u, dbk_out *out) {
+  dbk_rows *rows = &ctx->rows;
+  dbk_real want[DBK_MAX_ROWS];
+  int32_t level[DBK_MAX_ROWS];
+  const int32_t lowest = grade(model, ctx, brake, want, level);
+  for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k]; }
+  for (int32_t rank = DBK_RANK_BODY; rank <= lowest; ++rank) {
+    int32_t any = 0;
+    for (int32_t r = 0; r < rows->count; ++r) {
+      any |= level[r] == rank;
+      rows->soft[r] = level[r] == rank ? dbk_min((dbk_real)1, SOFT / rows->norm[r]) : (dbk_real)0;
+      if (level[r] >= rank) { rows->b[r] = level[r] == rank ? want[r] : (dbk_real)-1e9; }
+    }
+    if (!any) { continue; }
+    if (dbk_qp(rows, model->n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0, &ctx->solution)) { return; }
+    const dbk_real slack = dbk_max(ctx->solution.slack, (dbk_real)0);
+    for (int32_t r = 0; r < rows->count; ++r) {
+      if (level[r] == rank) { rows->b[r] = want[r] - rows->soft[r] * slack - DBK_GRANTED; }
+    }
+    if (slack * SOFT > DBK_GIVEN_UP) { out->relaxed |= 1 << rank; }
+    for (int32_t k = 0; k < model->n; ++k) {
+      u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]);
+    }
   }
 }
 
@@ -117,7 +146,7 @@ static int32_t solve(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom
                      dbk_out *out) {
   int32_t ids[DBK_QP_DIM];
   const int32_t n = model->n;
-  out->iterations = out->n_active = 0;
+  out->iterations = out->n_active = out->relaxed = 0;
   for (int32_t k = 0; k < n; ++k) { u[k] = u_nom[k]; }
   if (dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, u_nom, (dbk_real)0)) {
     ctx->n_warm = 0;
@@ -129,7 +158,7 @@ static int32_t solve(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom
   out->iterations = ctx->solution.iterations;
   remember(model, ctx, out);
   if (result == 1) {
-    relax(model, ctx, brake, u);
+    relax(model, ctx, brake, u, out);
     ctx->n_warm = 0;
     return DBK_INFEASIBLE;
   }
@@ -196,6 +225,7 @@ static dbk_status finish(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in,
     dbk_real value = (dbk_real)0;
     if (k < model->n) { value = dbk_clamp(u[k], -model->v_max[k], model->v_max[k]); }
     out->u[k] = value;
+    ctx->change[k] = value - ctx->u_prev[k];
     ctx->u_prev[k] = value;
   }
   out->status = (int32_t)status;
@@ -209,13 +239,13 @@ dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_real brake[DBK_MAX_DOF], u[DBK_MAX_DOF];
   dbk_brake(model, ctx->u_prev, brake);
   out->h_min = (dbk_real)0;
-  out->iterations = out->n_rows = out->n_active = 0;
+  out->iterations = out->n_rows = out->n_active = out->relaxed = 0;
   int32_t flags = input_flags(model, scene, in);
   if (flags) {
     ctx->n_warm = 0;
     return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
   }
-  flags = build(model, scene, ctx, in, ctx->u_prev, (dbk_real)0, 0);
+  flags = build(model, scene, ctx, in, ctx->u_prev, ctx->change, (dbk_real)0, 0);
   out->h_min = ctx->h_min;
   out->n_rows = ctx->rows.count;
   for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
@@ -240,7 +270,7 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   dbk_brake(model, u_prev, brake);
   int32_t flags = input_flags(model, scene, in);
   if (!flags) {
-    flags = build(model, scene, ctx, in, u_prev, extra, 1);
+    flags = build(model, scene, ctx, in, u_prev, 0, extra, 1);
     for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
     if (!(flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT))) {
       flags |= solve(model, ctx, in->u_nom, brake, u, &ignored);

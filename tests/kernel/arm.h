@@ -33,6 +33,8 @@ static inline void arm_model(dbk_model *m) {
   m->n = 7;
   m->period = (dbk_real)0.001;
   m->alpha = (dbk_real)3.44;
+  m->alpha_self = m->alpha;
+  m->alpha_joint = m->alpha;
   m->recovery = (dbk_real)0.05;
   m->sampling = (dbk_real)2e-4;
   m->rounding = (dbk_real)1e-5;
@@ -85,6 +87,8 @@ static inline void arm_scene(dbk_scene *s, uint64_t *state, int count) {
     dbk_obstacle *ob = &s->obstacle[o];
     memset(ob, 0, sizeof *ob);
     ob->shape = o == 0 ? DBK_HALF_SPACE : (int32_t)(chance(state) * 2);
+    ob->rank = o % 3 == 2 ? DBK_RANK_BODY : DBK_RANK_OBSTACLE;
+    ob->parts = ~0u;
     ob->flags = o % 3 == 2 ? 0 : DBK_STATIC | (o % 2 ? DBK_KNOWN : 0);
     for (int e = 0; e < 3; ++e) {
       ob->rotation[4 * e] = 1;

@@ -30,19 +30,26 @@ enum {
   DBK_INFEASIBLE = 128,   /* no control meets all rows within the box */
   DBK_BAD_SCENE = 256,    /* the obstacle table holds a number that is not finite */
   DBK_UNCERTIFIED = 512,  /* the next step would not keep h >= 0, even when braking */
-  DBK_UNAVOIDABLE = 1024  /* something moves at a part of the body that cannot move away */
+  DBK_UNAVOIDABLE = 1024, /* something moves at a part of the body that cannot move away */
+  DBK_JERK = 2048         /* another limit left no room for the jerk limit in this step; for information */
 };
 
 enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* a sphere is a capsule of length 0 */
 enum { DBK_KNOWN = 1, DBK_STATIC = 2 };
-enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER };
+enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER, DBK_ROW_USER };
+enum { DBK_REVOLUTE, DBK_PRISMATIC };
+
+/* what is given up last when no control meets all rows; the box is never given up */
+enum { DBK_RANK_BODY = 1, DBK_RANK_OBSTACLE, DBK_RANK_WORKSPACE, DBK_RANK_TASK };
 
 typedef struct {
   int32_t n; /* joints */
-  dbk_real period, alpha, recovery, sampling, rounding, self_margin, lag, tracking; /* s, 1/s, m/s, m, m, m, s, rad/s */
+  dbk_real period, alpha, alpha_self, alpha_joint, recovery, sampling, rounding, self_margin, lag, tracking; /* s, 1/s, m/s, m, s, rad/s */
   dbk_real state_age_max, scene_age_max;                                            /* s */
+  int32_t joint_kind[DBK_MAX_DOF]; /* a revolute joint turns about its z axis, a prismatic one slides along it */
   dbk_real joint_rotation[DBK_MAX_DOF][9], joint_offset[DBK_MAX_DOF][3];            /* row-major; parent <- joint at q = 0 */
   dbk_real q_lower[DBK_MAX_DOF], q_upper[DBK_MAX_DOF], v_max[DBK_MAX_DOF], a_max[DBK_MAX_DOF];
+  dbk_real j_max[DBK_MAX_DOF]; /* [rad/s^3]; 0: no limit */
   dbk_real scale[DBK_MAX_DOF][DBK_MAX_DOF]; /* S = L^-T with R = L L': u = u_nom + S x, cost |x|^2 / 2 */
   dbk_real tool_rotation[9], tool_offset[3];
   int32_t n_links, n_spheres, n_pairs, n_held_links;
@@ -57,10 +64,13 @@ typedef struct {
 } dbk_model;
 
 typedef struct {
-  int32_t shape, flags;
+  int32_t shape, flags, rank;
+  uint32_t parts; /* bit l: link l is kept away, bit n_links: what is held */
+  dbk_real alpha; /* [1/s]; 0: the model's */
   dbk_real position[3], rotation[9]; /* columns are the local axes */
   dbk_real half[3], radius;          /* capsule: half[2] is the half length */
   dbk_real velocity[3], margin, velocity_error;
+  dbk_real reaction, brake, approach; /* speed and separation: s, m/s^2 (0: off), least speed of the person m/s */
 } dbk_obstacle;
 
 typedef struct {
@@ -70,11 +80,15 @@ typedef struct {
   dbk_real permit[DBK_ALL_LINKS][DBK_MAX_OBSTACLES]; /* contact speed [m/s] where contact is permitted, else < 0 */
   dbk_real held_x[DBK_MAX_HELD], held_y[DBK_MAX_HELD], held_z[DBK_MAX_HELD], held_r[DBK_MAX_HELD]; /* in the last frame */
   dbk_real held_error;
+  int32_t n_user, user_rank[DBK_MAX_USER];
+  dbk_real user_a[DBK_MAX_USER][DBK_MAX_DOF], user_b[DBK_MAX_USER], user_h[DBK_MAX_USER]; /* a'u >= b */
 } dbk_scene;
 
 typedef struct {
   dbk_real q[DBK_MAX_DOF], v[DBK_MAX_DOF], u_nom[DBK_MAX_DOF];
   dbk_real opening, state_age, scene_age;
+  int32_t mobile; /* 0: the base frame is the world; else it stands as follows */
+  dbk_real base_rotation[9], base_position[3];
 } dbk_in;
 
 typedef struct {
@@ -86,6 +100,7 @@ typedef struct {
   dbk_real u[DBK_MAX_DOF];
   dbk_real delta, delta_rows, delta_box, h_min;
   int32_t status, flags, certified, iterations, n_rows, n_active;
+  int32_t relaxed; /* bit r: rows of rank r were given up in part */
   dbk_active active[DBK_QP_DIM + 1]; /* binding rows, or the conflicting ones when relaxed */
 } dbk_out;
 
@@ -103,6 +118,7 @@ typedef struct {
   dbk_real soft[DBK_MAX_ROWS];
   int32_t from[DBK_MAX_ROWS], upto[DBK_MAX_ROWS];         /* joints from..upto-1 move the pair */
   int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
+  int32_t rank[DBK_MAX_ROWS];
 } dbk_rows;
 
 /* runs of spheres that one period could bring to h = 0 at an obstacle or sphere: what the certificate looks at again */
@@ -133,7 +149,7 @@ typedef struct {
 } dbk_solution;
 
 typedef struct {
-  dbk_real u_prev[DBK_MAX_DOF], u_nom_prev[DBK_MAX_DOF];
+  dbk_real u_prev[DBK_MAX_DOF], u_nom_prev[DBK_MAX_DOF], change[DBK_MAX_DOF]; /* change: last u_prev - the one before */
   int32_t n_warm, warm[DBK_QP_DIM][3]; /* kind, i, j of the rows that were active */
   /* work of one step */
   dbk_frames frames;
@@ -160,6 +176,8 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
 
 /* parts, public for tests */
 void dbk_sincos(dbk_real x, dbk_real *sine, dbk_real *cosine);
+/* frame 0 must be set: dbk_base does */
+void dbk_base(const dbk_in *in, dbk_frames *frames);
 void dbk_fk(const dbk_model *model, const dbk_real q[DBK_MAX_DOF], dbk_frames *frames);
 void dbk_spheres(const dbk_model *model, const dbk_scene *scene, const dbk_frames *frames, dbk_real opening,
                  dbk_cloud *cloud);
@@ -169,6 +187,9 @@ void dbk_distance(const dbk_obstacle *shape, int32_t count, const dbk_real *x, c
                   dbk_real *d, dbk_real *nx, dbk_real *ny, dbk_real *nz);
 void dbk_box(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
              dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF], int32_t *conflict);
+/* narrows the box to what the jerk limit allows after the last `change`; returns 0 where there is no room for it */
+int32_t dbk_jerk_box(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], const dbk_real change[DBK_MAX_DOF],
+                     dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF]);
 void dbk_brake(const dbk_model *model, const dbk_real u_prev[DBK_MAX_DOF], dbk_real u[DBK_MAX_DOF]);
 void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx);
 void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,

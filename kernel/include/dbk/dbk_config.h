@@ -30,6 +30,10 @@ typedef float dbk_real;
 #define DBK_MAX_ROWS 512 /* rows that may bind in one step; a multiple of DBK_LANES */
 #endif
 
+#ifndef DBK_MAX_USER
+#define DBK_MAX_USER 16 /* rows that are handed in ready-made */
+#endif
+
 #ifndef DBK_MAX_VISITS
 #define DBK_MAX_VISITS 1024 /* groups of pairs that one step could bring to h = 0 */
 #endif
@@ -52,6 +56,8 @@ typedef float dbk_real;
 #define DBK_QP_DEPENDENT 1e-4f
 #define DBK_CHECK_TOL 1e-4f
 #endif
+#define DBK_GRANTED (DBK_QP_SHIFT * 4)     /* [rad/s] what a rank is granted beyond its least violation, for rounding */
+#define DBK_GIVEN_UP ((dbk_real)1e-4)      /* [m/s] a rank that is violated by less does not count as given up */
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] a row with a smaller normal cannot be acted upon */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs nearer than this are never culled */
 #define DBK_FAR_OUTSIDE ((dbk_real)0.2)    /* [rad] beyond a joint limit by more: the state is not believed */

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from importlib import resources
+from typing import Literal
 
 import msgspec
 
@@ -24,7 +25,10 @@ class Bound(msgspec.Struct, frozen=True):
 
 
 class Joint(msgspec.Struct, frozen=True):
-    """A revolute joint: fixed transform from the parent frame, then a rotation about local z."""
+    """A joint: fixed transform from the parent frame, then a turn about local z, or a slide along it.
+
+    Of a prismatic joint position, velocity and acceleration are in m, m/s and m/s².
+    """
 
     name: str
     translation: Vector
@@ -33,6 +37,8 @@ class Joint(msgspec.Struct, frozen=True):
     upper: Bound
     velocity: Bound
     acceleration: Bound
+    jerk: Bound | None = None
+    kind: Literal["revolute", "prismatic"] = "revolute"
 
 
 class Link(msgspec.Struct, frozen=True):
@@ -107,6 +113,7 @@ class Body(msgspec.Struct, frozen=True):
     tracking: Tracking
     period: float
     tool_speed: Bound
+    base: Literal["fixed", "differential"] = "fixed"
 
     @property
     def n(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,16 +14,22 @@ from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.native import make_kernel, obstacle_rows, tool_frame
-from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.obstacles import Obstacle, Separation
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.result import Filtered, Names, Status
+from dualbrain.safety.rows import LiveBarrier, Rank, Row, row_table
 
-__all__ = ["Contact", "FilterConfig", "Filtered", "Obstacle", "SafetyFilter", "Status", "ToolState"]
+__all__ = [
+    "Contact", "FilterConfig", "Filtered", "LiveBarrier", "Obstacle", "Rank", "Row", "SafetyFilter", "Separation",
+    "Status", "ToolState",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 STATUSES = tuple(Status)
 HELD = "held"
+MAX_ROWS = 16
+"""Rows that may be handed in for one step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +49,17 @@ class SafetyFilter:
     nothing about obstacles it was not told of. Spheres of the base (frame 0) get no rows: it is bolted to the world.
     """
 
-    def __init__(self, body: Body, config: FilterConfig | None = None, *, weight: Array | None = None) -> None:
-        """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²)."""
+    def __init__(
+        self, body: Body, config: FilterConfig | None = None, *, weight: Array | None = None,
+        barriers: Sequence[LiveBarrier] = (),
+    ) -> None:  # fmt: skip
+        """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²).
+
+        `barriers` are asked for their rows in every step.
+        """
         self.body, self.config = body, config or FilterConfig()
+        self._barriers = tuple(barriers)
+        self._rows: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
@@ -61,11 +76,34 @@ class SafetyFilter:
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
-        self._kernel.set_obstacles(obstacle_rows(obstacles))
+        self._kernel.set_obstacles(obstacle_rows(obstacles, self._parts))
         self._obstacles, self._stamp = tuple(obstacles), stamp
-        names = self._names
-        self._names = Names(names.spheres, tuple(thing.name for thing in obstacles), names.joints, names.v_max)
+        self._names = msgspec.structs.replace(
+            self._names,
+            obstacles=tuple(thing.name for thing in obstacles),
+            barriers=tuple(thing.barrier for thing in obstacles),
+        )
         self._apply_permits()
+
+    def constrain(self, rows: Sequence[Row]) -> None:
+        """Rows a'u ≥ b that hold from now on, until others are given: at most 16 with those of the live barriers."""
+        self._rows = tuple(rows)
+        self._hand_over(self._rows)
+
+    def _hand_over(self, rows: Sequence[Row]) -> None:
+        for row in rows:
+            if len(row.a) != self.body.n:
+                raise InvalidSetup(f"row {row.name!r}", got=len(row.a), allowed=f"{self.body.n} coefficients")
+        if len(rows) > MAX_ROWS:
+            raise InvalidSetup("rows at once", got=len(rows), allowed=f"at most {MAX_ROWS}")
+        self._kernel.constrain(row_table(rows, self.body.n))
+        self._names = msgspec.structs.replace(self._names, rows=tuple(row.name for row in rows))
+
+    def _refresh(self, state: RobotState) -> None:
+        """Rows of the live barriers at this state."""
+        jacobian = self.tool(state.q).jacobian
+        live = [row for barrier in self._barriers for row in barrier.rows(state, jacobian)]
+        self._hand_over((*self._rows, *live))
 
     def permit(self, permits: Sequence[Contact]) -> None:
         """The complete list of contacts that are allowed from now on; every other pair is kept apart again."""
@@ -113,12 +151,14 @@ class SafetyFilter:
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
+        if self._barriers:
+            self._refresh(state)
         u = np.empty(self.body.n)
         answer = self._kernel.step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp, u)
-        status, flags, delta, by_rows, by_box, h_min, certified, iterations, n_rows, rows = answer
+        status, flags, delta, by_rows, by_box, h_min, certified, iterations, n_rows, rows, relaxed = answer
         return Filtered(
             u, u_nom, self._names, STATUSES[status], flags, delta, by_rows, by_box, h_min, certified, iterations,
-            n_rows, rows,
+            n_rows, rows, relaxed,
         )  # fmt: skip
 
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
@@ -126,6 +166,8 @@ class SafetyFilter:
 
         Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
         """
+        if self._barriers:
+            self._refresh(state)
         u = np.empty(self.body.n)
         self._kernel.project(
             state.q, state.v, u_wish, u_nom_prev, state.opening, now - state.stamp, now - self._stamp,

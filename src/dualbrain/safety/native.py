@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.errors import InvalidSetup
+from dualbrain.embodiment.body import Body, Joint
+from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.linalg import matrix
 from dualbrain.records import Box, Capsule, HalfSpace, Sphere
 from dualbrain.safety import _kernel
@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN, STATIC = 1, 2
+ALL_PARTS = 2**32 - 1
 UNLIMITED = 1e4
 """Acceleration [rad/s²] that never binds, for a filter without acceleration limits."""
 
@@ -48,7 +49,9 @@ def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
     return {
         "n": body.n,
         "period": body.period,
-        "alpha": body.alpha if config.alpha is None else config.alpha,
+        "alpha": _alpha(body, config, config.alpha),
+        "alpha_self": _alpha(body, config, config.alpha_self),
+        "alpha_joint": _alpha(body, config, config.alpha_joint),
         "recovery": config.recovery_speed,
         "sampling": config.sampling_margin,
         "rounding": config.rounding_margin,
@@ -58,6 +61,13 @@ def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
         "state_age_max": config.state_stale_after,
         "scene_age_max": config.stale_after,
     }
+
+
+def _alpha(body: Body, config: FilterConfig, own: float | None) -> float:
+    """The gain of one kind of row: its own, else the filter's, else the largest that braking can follow."""
+    if own is not None:
+        return own
+    return body.alpha if config.alpha is None else config.alpha
 
 
 def _limits(body: Body, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
@@ -73,8 +83,15 @@ def _limits(body: Body, config: FilterConfig, weight: Array | None) -> dict[str,
         "q_upper": np.array([joint.upper.value for joint in body.joints]),
         "v_max": v_max,
         "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED),
+        "j_max": np.array([_jerk(joint) if config.jerk_limits else 0.0 for joint in body.joints]),
         "scale": np.ascontiguousarray(scale),
     }
+
+
+def _jerk(joint: Joint) -> float:
+    if joint.jerk is None:
+        raise InvalidSetup("jerk limits of the body", got=f"none for {joint.name}", allowed="a bound for every joint")
+    return joint.jerk.value
 
 
 def _geometry(body: Body) -> dict[str, Any]:
@@ -91,6 +108,7 @@ def _geometry(body: Body) -> dict[str, Any]:
         raise InvalidSetup("spheres of the body", got=len(rows), allowed=f"at most {_kernel.max_spheres}")
     rotation, offset = tool_frame(body)
     return {
+        "joint_kind": np.array([float(joint.kind == "prismatic") for joint in body.joints]),
         "joint_rotation": np.concatenate([matrix(joint.quaternion).ravel() for joint in body.joints]),
         "joint_offset": np.concatenate([np.array(joint.translation) for joint in body.joints]),
         "tool_rotation": np.ascontiguousarray(rotation),
@@ -129,14 +147,14 @@ def _pairs(body: Body) -> dict[str, Any]:
     }
 
 
-def obstacle_rows(obstacles: Sequence[Obstacle]) -> Array:
-    """The obstacle table (k, 23) that the kernel reads."""
+def obstacle_rows(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
+    """The obstacle table (k, 29) that the kernel reads; `parts` are the link indices behind every name of a part."""
     if len(obstacles) > _kernel.max_obstacles:
         raise InvalidSetup("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
-    return np.array([_obstacle_row(obstacle) for obstacle in obstacles], float).reshape(-1, 23)
+    return np.array([_obstacle_row(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
 
 
-def _obstacle_row(obstacle: Obstacle) -> list[float]:
+def _obstacle_row(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> list[float]:
     match obstacle.shape:
         case Sphere(radius=radius):
             kind, half, r = CAPSULE, (0.0, 0.0, 0.0), radius
@@ -148,7 +166,20 @@ def _obstacle_row(obstacle: Obstacle) -> list[float]:
             kind, half, r = HALF_SPACE, (0.0, 0.0, 0.0), 0.0
     flags = KNOWN * obstacle.known + STATIC * obstacle.static
     rotation = matrix(obstacle.pose.quaternion).ravel().tolist()
+    apart = obstacle.separation
+    separation = (apart.reaction, apart.brake, apart.approach) if apart else (0.0, 0.0, 0.0)
     return [
-        kind, float(flags), *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin,
-        obstacle.velocity_error,
+        kind, float(flags), float(obstacle.rank), _mask(obstacle.parts, parts), obstacle.alpha or 0.0,
+        *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin, obstacle.velocity_error,
+        *separation,
     ]  # fmt: skip
+
+
+def _mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:
+    """One bit for each link that is kept away; all of them when none is named."""
+    if not names:
+        return float(ALL_PARTS)
+    for name in names:
+        if name not in parts:
+            raise UnknownName("part of the robot", name, tuple(parts))
+    return float(sum(1 << link for link in {link for name in names for link in parts[name]}))

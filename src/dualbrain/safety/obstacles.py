@@ -23,9 +23,23 @@ from dualbrain.records import (
     Sphere,
     Vector,
 )
+from dualbrain.safety.rows import Rank
 
 Solid = Sphere | Capsule | Box | HalfSpace
 """The shapes with an exact distance in the kernel."""
+
+
+class Separation(msgspec.Struct, frozen=True):
+    """Speed and separation toward one person, after the formula of ISO/TS 15066 (no certified function).
+
+    d = v_h (T_r + T_s) + v T_r + v²/(2a), T_s = v/a, gives the speed v toward the person at distance d:
+    n'J u ≥ −v. `reaction` T_r [s] is the time until braking begins, `brake` a [m/s²] the deceleration along the row
+    that the robot always has, `approach` [m/s] the least speed v_h believed of the person (ISO 13855: 1.6).
+    """
+
+    reaction: float = 0.1
+    brake: float = 2.0
+    approach: float = 0.0
 
 
 class Obstacle(msgspec.Struct, frozen=True):
@@ -33,7 +47,8 @@ class Obstacle(msgspec.Struct, frozen=True):
 
     `margin` [m] inflates it (position error), `velocity_error` [m/s] bounds the error of the velocity and grows the
     margin with the age of the observation. `known` things are those φ respects by projection; `static` ones may be
-    seen long ago.
+    seen long ago. `rank` says what is given up last; `alpha` [1/s] replaces the filter's; only `parts` of the robot
+    (groups, links, "held"; none: all) are kept away; `barrier` is the name of the barrier it belongs to.
     """
 
     name: str
@@ -44,6 +59,11 @@ class Obstacle(msgspec.Struct, frozen=True):
     velocity_error: float = 0.0
     known: bool = False
     static: bool = True
+    rank: Rank = Rank.OBSTACLE
+    alpha: float | None = None
+    parts: tuple[str, ...] = ()
+    separation: Separation | None = None
+    barrier: str = "obstacle"
 
 
 def from_scene(
@@ -72,6 +92,7 @@ def _obstacle(thing: SceneObject, stamp: float, known: bool, clearance: float) -
         velocity_error=thing.velocity_error,
         known=known,
         static=not moves,
+        rank=Rank.BODY if thing.role == "person" else Rank.OBSTACLE,
     )
 
 

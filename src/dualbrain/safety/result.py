@@ -9,8 +9,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.safety.rows import Rank
+
 Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
+OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
+"""Kinds of rows, as the kernel counts them."""
 
 
 class Status(IntEnum):
@@ -41,23 +45,39 @@ class Reason(IntFlag):
     BAD_SCENE = 256
     UNCERTIFIED = 512
     UNAVOIDABLE = 1024
+    JERK = 2048
 
 
 class Names(msgspec.Struct, frozen=True):
-    """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints."""
+    """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints.
+
+    `barriers` are the barriers that the obstacles belong to, `rows` the rows handed in for this step.
+    """
 
     spheres: tuple[str, ...]
     obstacles: tuple[str, ...]
     joints: tuple[str, ...]
     v_max: tuple[float, ...]
+    barriers: tuple[str, ...] = ()
+    rows: tuple[str, ...] = ()
 
     def row(self, kind: int, i: int, j: int) -> str:
         """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 lower"."""
-        if kind == 0:
+        if kind == OBSTACLE:
             return f"{self.sphere(i)} vs {self.obstacles[j]!r}"
-        if kind == 1:
+        if kind == SELF:
             return f"{self.sphere(i)} vs {self.sphere(j)}"
-        return f"{self.joints[i]} {'lower' if kind == 2 else 'upper'}"
+        if kind == USER:
+            return self.rows[i]
+        return f"{self.joints[i]} {'lower' if kind == LOWER else 'upper'}"
+
+    def barrier(self, kind: int, i: int, j: int) -> str:
+        """The barrier that a row belongs to, as `safety.barriers` names it."""
+        if kind == OBSTACLE:
+            return "held_object" if i >= len(self.spheres) else self.barriers[j]
+        if kind == USER:
+            return self.rows[i].partition(":")[0]
+        return "self_collision" if kind == SELF else "joint_limits"
 
     def sphere(self, index: int) -> str:
         """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
@@ -69,7 +89,8 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
     `delta_rows` and `delta_box`; `h_min` [m] the smallest barrier value of all pairs without a permit; `certified`:
-    h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that could bind in this step.
+    h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that could bind in this step; `relaxed`
+    has bit r set when rows of rank r were given up in part.
     """
 
     u: Array
@@ -85,6 +106,17 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
     iterations: int
     n_rows: int
     rows: tuple[RawRow, ...]
+    relaxed: int = 0
+
+    @property
+    def given_up(self) -> tuple[Rank, ...]:
+        """The ranks whose rows could not all be met."""
+        return tuple(rank for rank in Rank if self.relaxed >> rank & 1)
+
+    @property
+    def barriers(self) -> tuple[str, ...]:
+        """The barriers that the binding rows belong to, as `safety.barriers` names them."""
+        return tuple(dict.fromkeys(self.names.barrier(kind, i, j) for kind, i, j, _, _ in self.rows))
 
     @property
     def reason(self) -> Reason:
@@ -115,8 +147,9 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
     def _who(self) -> str:
         rows = sorted(self.rows, key=lambda row: -row[4])[:2]
         words = [
-            self.names.row(kind, i, j) + (f" {h * 1e3:.0f} mm" if kind < 2 else "") for kind, i, j, h, _ in rows
-        ]  # fmt: skip
+            self.names.row(kind, i, j) + (f" {h * 1e3:.0f} mm" if kind in (OBSTACLE, SELF) else "")
+            for kind, i, j, h, _ in rows
+        ]
         return " and ".join(words) or f"nearest pair {self.h_min * 1e3:.0f} mm"
 
     def _what(self) -> str:

@@ -1,0 +1,58 @@
+"""Rows in control space and their rank: what is given up last when no control can meet all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.robot import RobotState
+
+Array = NDArray[np.float64]
+
+
+class Rank(IntEnum):
+    """The order in which rows are given up when none can meet all: the highest number first.
+
+    The box of joint velocity, acceleration and position is never given up, nor is a row about something that stands
+    still as long as braking meets it.
+    """
+
+    BODY = 1
+    """People and the robot's own parts."""
+    OBSTACLE = 2
+    """Things."""
+    WORKSPACE = 3
+    """Where the robot should stay."""
+    TASK = 4
+    """What is only wished for, and rows handed in by the user."""
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One row a'u ≥ b for one step: `a` (n,), `b`, and the barrier value `h` that is reported with it."""
+
+    name: str
+    a: tuple[float, ...]
+    b: float
+    h: float = 0.0
+    rank: Rank = Rank.TASK
+
+
+class LiveBarrier(Protocol):
+    """A barrier whose rows are computed anew in every step, outside the compiled kernel.
+
+    The next-step certificate does not cover its rows; their own margin must.
+    """
+
+    def rows(self, state: RobotState, jacobian: Array) -> Sequence[Row]:
+        """Rows at `state`; `jacobian` (6, n) is the tool's, linear then angular, in the world frame."""
+        ...
+
+
+def row_table(rows: Sequence[Row], n: int) -> Array:
+    """The table (k, n + 3) of a, b, h, rank that the kernel reads."""
+    return np.array([[*row.a, row.b, row.h, float(row.rank)] for row in rows], float).reshape(-1, n + 3)
