@@ -120,3 +120,25 @@ def test_the_desk_says_what_the_gate_says():
 def test_the_arm_on_the_desk_stands_at_home(seen, limb):
     assert tuple(limb.senses.state.q) == load_body("panda").home
     assert limb.senses.scene is seen
+
+
+def test_a_height_the_arm_does_not_reach_is_refused_and_the_allowed_one_passes():
+    turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
+    arm = limb_at_home("panda", turned)
+    wish = {"clearance": 0.35, "approach": "side", "finger_axis": "across"}
+    refusal = verdict(turned, arm, grasp(**wish), place)
+    assert refusal is not None
+    assert (refusal.stage, refusal.pointer, refusal.got) == ("envelope", "/action_sequence/0/params/clearance", 0.35)
+    assert 0.03 <= refusal.allowed["maximum"] < 0.35
+    assert verdict(turned, arm, grasp(**wish | {"clearance": refusal.allowed["maximum"]}), place) is None
+
+
+def test_an_approach_the_arm_cannot_take_is_refused_with_those_it_can():
+    turned = scene(box("red_cube", 0.6, -0.2, yaw=0.6), bowl())
+    arm = limb_at_home("panda", turned)
+    wish = {"clearance": 0.1, "approach": "side", "finger_axis": "along"}
+    refusal = verdict(turned, arm, grasp(**wish), place)
+    assert refusal is not None
+    assert (refusal.pointer, refusal.allowed) == ("/action_sequence/0/params/approach", ["top", "tilted"])
+    for way in refusal.allowed:
+        assert verdict(turned, arm, grasp(**wish | {"approach": way}), place) is None

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.records import Scene
-from dualbrain.skills.geometry import levelness, width
-from dualbrain.skills.grasp import grasp_goal
+from dualbrain.records import Scene, SceneObject
+from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
+from dualbrain.skills.grasp import grasp_goal, station
 from dualbrain.skills.limb import Limb
 
 LEVEL = 0.7
 """The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
+LOWEST_CLEARANCE = 0.03
+"""The least clearance that the vocabulary knows [m]: where the search for an allowed one ends."""
 FINGER_ROOM = 0.010
 """The fingers must be open at least this much wider than the thing they go around [m]."""
 
@@ -87,7 +92,8 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
                 {"minimum": round(needed, 4), "maximum": widest},
                 hint,
             )
-        if grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])) is None:
+        at = grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"]))
+        if at is None:
             return Rejected(
                 "envelope",
                 f"{pointer}/object",
@@ -95,4 +101,29 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
                 "things within reach",
                 f"{thing.name} is out of reach for this grasp",
             )
+        if why := _station_fits(limb, thing, params, pointer):
+            return why
     return None
+
+
+def _station_fits(limb: Limb, thing: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:
+    """The arm reaches the pose from which it comes down: its height, and that approach at all."""
+    axis, approach, clearance = str(params["finger_axis"]), str(params["approach"]), float(params["clearance"])
+    if _reaches(limb, thing, axis, approach, clearance):
+        return None
+    lower = (float(height) for height in np.arange(clearance, LOWEST_CLEARANCE, -0.01))
+    highest = next((height for height in lower if _reaches(limb, thing, axis, approach, height)), None)
+    if highest is not None:
+        hint = f"the arm cannot come down on {thing.name} from so high with this approach: ask for less clearance"
+        return Rejected("envelope", f"{pointer}/clearance", clearance, {"maximum": round(highest, 2)}, hint)
+    others = [way for way in APPROACH_LEAN if _reaches(limb, thing, axis, way, LOWEST_CLEARANCE)]
+    hint = f"the arm cannot come to {thing.name} this way: choose another approach or finger axis"
+    return Rejected("envelope", f"{pointer}/approach", approach, others, hint)
+
+
+def _reaches(limb: Limb, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:
+    at = grasp_goal(limb, thing, axis, approach)
+    if at is None:
+        return False
+    above = station(limb, at, thing, clearance)
+    return limb.kinematics.solve(above.position, above.rotation, (above.posture,)) is not None

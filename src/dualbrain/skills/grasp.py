@@ -85,7 +85,7 @@ def story(
         why := (yield from wait_for_people(limb, limb.here(), at.position, 4.0, "approach", speed, reach=0.3))
     ):
         return why
-    if why := (yield from _come_near(limb, _above(limb, at, thing, clearance), speed)):
+    if why := (yield from _come_near(limb, station(limb, at, thing, clearance), speed)):
         return why
     return (yield from _seize(limb, object, at, approach, clearance, speed, force))
 
@@ -97,7 +97,7 @@ def _seize(
     thing = limb.see(name)
     x, y, _ = thing.pose.position
     at = limb.shifted(at, np.array([x, y, grasp_height(limb.body, thing, approach)]))
-    above = _above(limb, at, thing, clearance)
+    above = station(limb, at, thing, clearance)
     brink = _brink(limb, at, thing)
     why = yield from come_down(limb, above, brink, at, "descend", min(speed, 0.2), approach="approach")
     if why and not (why.status is Status.TAKEN_OVER and _around(limb, thing)):
@@ -122,7 +122,7 @@ def _around(limb: Limb, thing: SceneObject) -> bool:
     return deep > ENOUGH and off < ENOUGH
 
 
-def _above(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
+def station(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
     """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
     tips = max(limb.floor + clearance, geometry.top(thing) + OVER)
     up = lifted(_brink(limb, at, thing), tips + limb.body.gripper.pad_below_tool)
