@@ -1,0 +1,36 @@
+"""joint_limits: every joint stays in its range and can always brake in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter, home
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    lower, upper = (
+        np.array([getattr(joint, side).value for joint in safety.body.joints]) for side in ("lower", "upper")
+    )
+    push = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.6])
+
+    def h(q: Array, u: Array) -> float:
+        del u
+        return float(np.min(np.minimum(q - lower, upper - q)))
+
+    return Trial(safety, home(safety), lambda q: push, h)
+
+
+BARRIER = Barrier(
+    name="joint_limits",
+    says="every joint stays in its position range, with braking by its own acceleration limit",
+    h="h = q_max − q and q − q_min",
+    row="u ≤ min(α h, v_b(h)) − tracking, v_b(h) = −a Δt/2 + √((a Δt/2)² + 2 a h)",
+    rank=None,
+    alpha="FilterConfig.alpha_joint, else alpha",
+    margins=("tracking", "rounding"),
+    source="paper 4.2; discrete braking: Del Prete, RA-L 2018",
+    where="kernel/src/dbk_box.c: dbk_box",
+    trial=_trial,
+)

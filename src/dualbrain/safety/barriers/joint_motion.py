@@ -1,0 +1,45 @@
+"""joint_motion: velocity, acceleration and jerk of every joint stay in the actuators' limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter, home
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    joints = safety.body.joints
+    v_max = np.array([joint.velocity.value for joint in joints])
+    step = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
+    last = np.zeros(safety.body.n)
+    ticks = 0
+
+    def h(q: Array, u: Array) -> float:
+        del q
+        change = np.abs(u - last)
+        last[:] = u
+        return float(min(np.min(1.0 - np.abs(u) / v_max), np.min(1.0 - change / step)) + 1e-5)
+
+    def push(q: Array) -> Array:
+        nonlocal ticks
+        del q
+        ticks += 1
+        return (3.0 if ticks // 200 % 2 else -3.0) * v_max
+
+    return Trial(safety, home(safety), push, h)
+
+
+BARRIER = Barrier(
+    name="joint_motion",
+    says="joint velocity, its change per period, and where wished its jerk stay within the actuators' limits",
+    h="1 − |u|/v_max, 1 − |u − u_prev|/(a_max Δt), 1 − |u − 2u_prev + u_before|/(j_max Δt²)",
+    row="max(−v, u_prev − a Δt) ≤ u ≤ min(v, u_prev + a Δt), narrowed by the jerk box where FilterConfig.jerk_limits",
+    rank=None,
+    alpha="none: a box on u",
+    margins=(),
+    source="Body: velocity, acceleration and jerk bounds with their provenance",
+    where="kernel/src/dbk_box.c: dbk_box, dbk_jerk_box",
+    trial=_trial,
+)

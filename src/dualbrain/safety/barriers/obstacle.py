@@ -1,0 +1,41 @@
+"""obstacle: every part of the robot keeps away from every perceived thing, still or moving."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.records import Pose, Sphere
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter, centres, home, tool_push
+from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.rows import Rank
+
+PLACE = (0.62, 0.0, 0.45)
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    safety.observe([Obstacle("ball", Sphere(0.05), Pose(PLACE))])
+    start = home(safety)
+    ahead = np.array(PLACE) - safety.tool(start).position
+
+    def h(q: Array, u: Array) -> float:
+        del u
+        where, radii = centres(safety, q)
+        return float(np.min(np.linalg.norm(where - np.array(PLACE), axis=1) - radii - 0.05))
+
+    return Trial(safety, start, tool_push(safety, (ahead / np.linalg.norm(ahead)).tolist()), h)
+
+
+BARRIER = Barrier(
+    name="obstacle",
+    says="every sphere of the robot stays outside every perceived sphere, capsule, box and half-space",
+    h="h = d(c_s, obstacle) − r_s − margins",
+    row="n'J_s u ≥ −α h + n'v_o + e_v + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
+    rank=Rank.OBSTACLE,
+    alpha="FilterConfig.alpha, or the obstacle's own; people have rank BODY",
+    margins=("sampling", "tracking", "measurement", "age", "rounding"),
+    source="paper 4.2; moving obstacles: ∂h/∂t = −n'v_o",
+    where="kernel/src/dbk_rows.c: obstacle_rows",
+    trial=_trial,
+)

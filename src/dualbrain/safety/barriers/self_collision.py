@@ -1,0 +1,43 @@
+"""self_collision: the robot's own parts keep away from each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter, home
+from dualbrain.safety.rows import Rank
+
+FOLDED = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
+"""A posture in which the hand would be inside the arm."""
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    body = safety.body
+    links = [link.name for link in body.links for sphere in body.spheres if sphere.link == link.name]
+    kept = {frozenset(pair) for pair in body.self_pairs.kept}
+    pairs = [(i, j) for i in range(len(links)) for j in range(i) if frozenset((links[i], links[j])) in kept]
+    first, second = np.array(pairs).T
+
+    def h(q: Array, u: Array) -> float:
+        del u
+        where, radii, _ = safety.spheres(q, 0.0)
+        apart = np.linalg.norm(where[first] - where[second], axis=1)
+        return float(np.min(apart - radii[first] - radii[second]))
+
+    return Trial(safety, home(safety), lambda q: 2.0 * (FOLDED - q), h, seconds=3.0)
+
+
+BARRIER = Barrier(
+    name="self_collision",
+    says="the robot's parts keep apart, for every pair of links that is not allowed to touch by construction",
+    h="h = |c_i − c_j| − r_i − r_j − margins",
+    row="n'(J_i − J_j) u ≥ −α h + tracking Σ|n'J_k| + max(0, −Δt/2 n'a)",
+    rank=Rank.BODY,
+    alpha="FilterConfig.alpha_self, else alpha",
+    margins=("sampling", "tracking", "rounding"),
+    source="paper 4.2; pairs and their reasons: Body.self_pairs",
+    where="kernel/src/dbk_rows.c: against_link",
+    trial=_trial,
+)

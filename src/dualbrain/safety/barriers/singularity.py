@@ -1,0 +1,80 @@
+"""singularity: near a singular posture the arm slows down, and goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter
+from dualbrain.safety.rows import Rank, Row
+
+
+class Singularity:
+    """h = σ − floor, σ the least singular value of the tool's Jacobian with its angular rows scaled by `length` [m].
+
+    The row σ̇ = ∇σ'u ≥ −max(α h, creep) lets σ fall ever more slowly down to `floor` and at `creep` [m/(rad s)] from
+    there on, so that a path through a singular posture is slowed and never blocked.
+    """
+
+    def __init__(self, alpha: float, floor: float = 0.03, creep: float = 0.02, length: float = 0.3) -> None:
+        """`alpha` [1/s] is best that of the body; nothing happens above floor + σ̇_max/α."""
+        self.alpha, self.floor, self.creep, self.length = alpha, floor, creep, length
+
+    def rows(self, state: RobotState, jacobian: Array) -> Sequence[Row]:
+        """The one row at this state."""
+        del state
+        sigma, gradient = least_singular_value(jacobian, self.length)
+        h = sigma - self.floor
+        size = float(np.linalg.norm(gradient))
+        if size < 1e-6:
+            return ()
+        return (Row("singularity", tuple(gradient.tolist()), -max(self.alpha * h, self.creep), h, Rank.TASK),)
+
+
+def least_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
+    """σ_min of the scaled Jacobian (6, n) and ∂σ/∂q (n,) = w'(∂J/∂q_k) v with the singular vectors w, v."""
+    scale = np.array([1.0, 1.0, 1.0, length, length, length])
+    left, values, right = np.linalg.svd(scale[:, None] * jacobian)
+    w, v = scale * left[:, -1], right[len(values) - 1]
+    return float(values[-1]), np.array([w @ _change(jacobian, k) @ v for k in range(jacobian.shape[1])])
+
+
+def _change(jacobian: Array, k: int) -> Array:
+    """∂J/∂q_k (6, n): columns from k on turn about axis k, earlier ones see the tool move with joint k."""
+    linear, angular = jacobian[:3].T, jacobian[3:].T
+    change = np.zeros_like(jacobian)
+    change[:3, k:] = np.cross(angular[k], linear[k:]).T
+    change[3:, k:] = np.cross(angular[k], angular[k:]).T
+    change[:3, :k] = np.cross(angular[:k], linear[k]).T
+    return change
+
+
+def _trial() -> Trial:
+    body = arm_filter().body
+    barrier = Singularity(body.alpha)
+    safety = arm_filter(barriers=(barrier,))
+    start, bent = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0]), np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
+
+    def h(q: Array, u: Array) -> float:
+        """σ̇ against what the barrier allows at q."""
+        sigma, gradient = least_singular_value(safety.tool(q).jacobian, barrier.length)
+        return float(gradient @ u + max(body.alpha * (sigma - barrier.floor), barrier.creep) + 2e-3)
+
+    return Trial(safety, start, lambda q: 1.5 * (bent - q), h, seconds=3.0)
+
+
+BARRIER = Barrier(
+    name="singularity",
+    says="the arm slows down near singular postures and creeps through them; it is never held there",
+    h="h = σ_min(J) − floor",
+    row="∇σ'u ≥ −max(α h, creep)",
+    rank=Rank.TASK,
+    alpha="Singularity.alpha",
+    margins=(),
+    source="design: slow, not stop; gradient of a singular value: w'(∂J/∂q) v",
+    where="safety/barriers/singularity.py, a live barrier",
+    trial=_trial,
+)

@@ -1,0 +1,75 @@
+"""workspace: the hand and its load stay above a height and inside planes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+import numpy as np
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import HalfSpace, Pose, Quaternion, Vector
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.trials import arm_filter, centres, home, tool_push
+from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.rows import Rank
+
+HAND = ("hand", "fingers", "held")
+
+
+def plane(name: str, point: Vector, inward: Vector, *, parts: Sequence[str] = HAND, margin: float = 0.0) -> Obstacle:
+    """Keep `parts` on the side of the plane through `point` [m] to which `inward` points, `margin` [m] from it."""
+    return Obstacle(
+        name, HalfSpace(), Pose(point, turn_to(inward)), margin=margin, rank=Rank.WORKSPACE, parts=tuple(parts),
+        known=True, barrier="workspace",
+    )  # fmt: skip
+
+
+def height(lowest: float, highest: float, *, parts: Sequence[str] = HAND) -> tuple[Obstacle, Obstacle]:
+    """Keep `parts` between two heights [m] above the base."""
+    return (
+        plane("lowest height", (0.0, 0.0, lowest), (0.0, 0.0, 1.0), parts=parts),
+        plane("greatest height", (0.0, 0.0, highest), (0.0, 0.0, -1.0), parts=parts),
+    )
+
+
+def turn_to(normal: Vector) -> Quaternion:
+    """The shortest turn (w, x, y, z) that brings z to `normal`."""
+    size = sqrt(sum(e * e for e in normal))
+    if not size > 1e-9:
+        raise InvalidSetup("normal of a plane", got=normal, allowed="a vector that is not zero")
+    x, y, z = (e / size for e in normal)
+    if z < -1.0 + 1e-9:
+        return (0.0, 1.0, 0.0, 0.0)
+    w = sqrt(0.5 * (1.0 + z))
+    return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    start = home(safety)
+    lowest = float(safety.tool(start).position[2]) - 0.12
+    safety.observe(height(lowest, 1.2))
+    arm = sum(link.group == "arm" for link in safety.body.links for s in safety.body.spheres if s.link == link.name)
+    arm -= sum(sphere.link == "link0" for sphere in safety.body.spheres)
+
+    def h(q: Array, u: Array) -> float:
+        del u
+        where, radii = centres(safety, q)
+        return float(np.min(where[arm:, 2] - radii[arm:]) - lowest)
+
+    return Trial(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h)
+
+
+BARRIER = Barrier(
+    name="workspace",
+    says="the hand, the fingers and what they hold stay above a height and within planes",
+    h="h = n'(c_s − p) − r_s − margin",
+    row="n'J_s u ≥ −α h + …, as for obstacles, for the named parts only",
+    rank=Rank.WORKSPACE,
+    alpha="FilterConfig.alpha",
+    margins=("sampling", "tracking", "rounding"),
+    source="paper 4.2: end-effector height and workspace",
+    where="safety/barriers/workspace.py onto kernel/src/dbk_rows.c",
+    trial=_trial,
+)
