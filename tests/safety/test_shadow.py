@@ -260,6 +260,28 @@ def test_what_was_told_before_a_kill_is_there(tmp_path):
     assert [episode.start for episode in read_episodes(path)] == list(range(20))
 
 
+def test_changes_at_least_join_apart_are_two_episodes(small):
+    home, zero, jump = np.array(small.home), np.zeros(7), np.full(7, 0.1)
+    for join, starts in ((0.004, [0.0, 0.006]), (0.01, [0.0])):
+        told = []
+        shadow = Shadow(SafetyFilter(small, scenes.config()), told=told.append, join=join)
+        for tick in range(12):
+            shadow.watch(home, zero, jump if tick in (0, 1, 6) else zero, tick * PERIOD, u_prev=zero)
+        shadow.close()
+        assert [e.start for e in told] == starts
+        assert sum(e.ticks for e in told) == 3
+
+
+def test_a_command_beyond_the_velocity_limit_is_followed_no_further(small):
+    """The last command was never truly in force; what is admissible next is judged from the limit."""
+    shadow, limit = Shadow(SafetyFilter(small, scenes.config())), np.zeros(7)
+    limit[6] = small.joints[6].velocity.value
+    home = np.array(small.home)
+    shadow.watch(home, limit, 3.0 * limit, 0.0)
+    answer = shadow.watch(home, limit, limit, PERIOD)
+    assert answer.status is Status.SAFE
+
+
 def test_jerk_limits_are_refused(small):
     with pytest.raises(InvalidSetup, match="jerk"):
         Shadow(made(small, jerk_limits=True))

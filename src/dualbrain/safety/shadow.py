@@ -137,7 +137,7 @@ class Shadow:
         """
         moment = now if isfinite(now) else max(0.0, self._now)
         if moment < self._now:  # another session: the clock began anew
-            self._begin_anew()
+            self.reset()
         q, v, u_nom = (np.array(values, float) for values in (q, v, u_nom))
         last = self._in_force(v, moment, u_prev)
         self.safety.reset(last)
@@ -146,6 +146,12 @@ class Shadow:
         self._now, self._u_prev = moment, u_nom
         self._count(answer, moment, last)
         return answer
+
+    def reset(self) -> None:
+        """The next call is the first of another session: end the open episode, forget the last command."""
+        if self._open:
+            self._end(self._open)
+        self._u_prev, self._now = None, -inf
 
     def close(self) -> Summary:
         """End the open episode and sum up; `told` itself is the caller's to close."""
@@ -162,11 +168,6 @@ class Shadow:
         )  # fmt: skip
 
     # --- inside -------------------------------------------------------------------------------------------------
-
-    def _begin_anew(self) -> None:
-        if self._open:
-            self._end(self._open)
-        self._u_prev, self._now = None, -inf
 
     def _in_force(self, v: Array, now: float, u_prev: Array | None) -> Array:
         """The last command, as far as a velocity limit allows it; never NaN."""
