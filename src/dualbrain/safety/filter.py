@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.differential_base import pose
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.safety.config import FilterConfig
@@ -58,6 +59,7 @@ class SafetyFilter:
         `barriers` are asked for their rows in every step.
         """
         self.body, self.config = body, config or FilterConfig()
+        self._mobile = body.base == "differential"
         self._barriers = tuple(barriers)
         self._rows: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
@@ -151,6 +153,8 @@ class SafetyFilter:
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
+        if self._mobile:
+            state = replace(state, q=self._joints(state.q))
         if self._barriers:
             self._refresh(state)
         u = np.empty(self.body.n)
@@ -166,6 +170,8 @@ class SafetyFilter:
 
         Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
         """
+        if self._mobile:
+            state = replace(state, q=self._joints(state.q))
         if self._barriers:
             self._refresh(state)
         u = np.empty(self.body.n)
@@ -175,18 +181,26 @@ class SafetyFilter:
         )  # fmt: skip
         return u
 
+    def _joints(self, q: Array) -> Array:
+        """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own chain at zero."""
+        if not self._mobile:
+            return q
+        rotation, position = pose(q)
+        self._kernel.stand(np.array([*rotation.ravel(), *position]))
+        return np.zeros(self.body.n)
+
     # --- kinematics -------------------------------------------------------------------------------------------
 
     def tool(self, q: Array) -> ToolState:
         """The tool frame at joint angles q (n,) [rad], in the world."""
         n, flat = self.body.n, np.empty(12 + 6 * self.body.n)
-        self._kernel.tool(q, flat)
+        self._kernel.tool(self._joints(q), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere, held ones last."""
         flat = np.empty((len(self._names.spheres) + 8, 4))
-        count = self._kernel.spheres(q, opening, flat)
+        count = self._kernel.spheres(self._joints(q), opening, flat)
         groups = [self._groups[name] for name in self._names.spheres]
         return flat[:count, :3], flat[:count, 3], (*groups, *([HELD] * (count - len(groups))))
 

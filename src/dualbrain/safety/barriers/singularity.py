@@ -11,6 +11,9 @@ from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
 from dualbrain.safety.barriers.trials import arm_filter
 from dualbrain.safety.rows import Rank, Row
 
+BENT = np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
+"""A singular posture: the shoulder's first and third axes and the elbow leave one direction out."""
+
 
 class Singularity:
     """h = σ − floor, σ the least singular value of the tool's Jacobian with its angular rows scaled by `length` [m].
@@ -35,35 +38,35 @@ class Singularity:
 
 
 def least_singular_value(jacobian: Array, length: float) -> tuple[float, Array]:
-    """σ_min of the scaled Jacobian (6, n) and ∂σ/∂q (n,) = w'(∂J/∂q_k) v with the singular vectors w, v."""
+    """σ_min of the scaled Jacobian (6, n) and its gradient ∂σ/∂q_k = w'(∂J/∂q_k) v (n,), w and v its singular vectors.
+
+    With columns (l_j, ω_j): ∂l_j/∂q_k = ω_k × l_j and ∂ω_j/∂q_k = ω_k × ω_j for j ≥ k, ∂l_j/∂q_k = ω_j × l_k for j < k,
+    so that sums over j become running sums.
+    """
     scale = np.array([1.0, 1.0, 1.0, length, length, length])
     left, values, right = np.linalg.svd(scale[:, None] * jacobian)
     w, v = scale * left[:, -1], right[len(values) - 1]
-    return float(values[-1]), np.array([w @ _change(jacobian, k) @ v for k in range(jacobian.shape[1])])
-
-
-def _change(jacobian: Array, k: int) -> Array:
-    """∂J/∂q_k (6, n): columns from k on turn about axis k, earlier ones see the tool move with joint k."""
     linear, angular = jacobian[:3].T, jacobian[3:].T
-    change = np.zeros_like(jacobian)
-    change[:3, k:] = np.cross(angular[k], linear[k:]).T
-    change[3:, k:] = np.cross(angular[k], angular[k:]).T
-    change[:3, :k] = np.cross(angular[:k], linear[k]).T
-    return change
+    along, about = v[:, None] * linear, v[:, None] * angular
+    later = np.cumsum(along[::-1], axis=0)[::-1]
+    turning = np.cumsum(about[::-1], axis=0)[::-1]
+    earlier = np.cumsum(about, axis=0) - about
+    moved = np.cross(angular, later) + np.cross(earlier, linear)
+    return float(values[-1]), moved @ w[:3] + np.cross(angular, turning) @ w[3:]
 
 
 def _trial() -> Trial:
     body = arm_filter().body
     barrier = Singularity(body.alpha)
     safety = arm_filter(barriers=(barrier,))
-    start, bent = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0]), np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
+    start = np.array([0.3, 0.5, 0.4, -1.2, 0.3, 1.2, 0.0])
 
     def h(q: Array, u: Array) -> float:
         """σ̇ against what the barrier allows at q."""
         sigma, gradient = least_singular_value(safety.tool(q).jacobian, barrier.length)
         return float(gradient @ u + max(body.alpha * (sigma - barrier.floor), barrier.creep) + 2e-3)
 
-    return Trial(safety, start, lambda q: 1.5 * (bent - q), h, seconds=3.0)
+    return Trial(safety, start, lambda q: 1.5 * (BENT - q), h, seconds=3.0)
 
 
 BARRIER = Barrier(

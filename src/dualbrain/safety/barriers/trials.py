@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body, load_body
+from dualbrain.embodiment.differential_base import drive
 from dualbrain.safety.filter import FilterConfig, LiveBarrier, SafetyFilter
 
 Array = NDArray[np.float64]
@@ -46,6 +47,11 @@ def centres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array
     where, radii, _ = safety.spheres(q, opening)
     fixed = sum(sphere.link == "link0" for sphere in safety.body.spheres)
     return where[fixed:], radii[fixed:]
+
+
+def advance(body: Body, q: Array, u: Array) -> Array:
+    """The configuration one period later, ẏ = u exactly."""
+    return drive(q, u, body.period) if body.base == "differential" else q + body.period * u
 
 
 def home(safety: SafetyFilter) -> Array:

@@ -1,0 +1,130 @@
+"""Every barrier, as it is found: pushed hard it holds, it tells its name, and without the filter it would break."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.safety.barriers import BARRIERS
+from dualbrain.safety.barriers.singularity import BENT, Singularity, least_singular_value
+from dualbrain.safety.barriers.trials import EXACT, advance, arm, arm_filter
+from dualbrain.safety.filter import SafetyFilter, Status
+
+PACKAGE = Path(__file__).resolve().parents[2] / "src" / "dualbrain" / "safety" / "barriers"
+NAMES = sorted(BARRIERS)
+TELL = {"contact": "obstacle", "joint_motion": "joint_limits"}
+"""Rows that carry another barrier's name: contact takes an obstacle's place, the box is one for all of its causes."""
+
+
+def fly(trial, *, filtered=True):
+    """Every h of the trial, the barriers that were named, and the statuses met."""
+    q, rest = trial.start.copy(), np.zeros(trial.safety.body.n)
+    values, named, statuses = [], set(), set()
+    for _ in range(int(trial.seconds / trial.safety.body.period)):
+        u = np.asarray(trial.push(q), float)
+        if filtered:
+            answer = trial.safety(q, rest, u)
+            u = answer.u
+            named.update(answer.barriers)
+            statuses.add(answer.status)
+        values.append(trial.h(q, u))
+        q = advance(trial.safety.body, q, u)
+    return np.array(values), named, statuses
+
+
+def test_every_file_is_a_barrier_of_its_name():
+    files = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "barrier", "trials"}
+    assert files == set(BARRIERS)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_holds_and_tells_its_name(name):
+    h, named, statuses = fly(BARRIERS[name].trial())
+    assert h.min() >= 0.0
+    assert TELL.get(name, name) in named
+    assert statuses <= {Status.SAFE, Status.MODIFIED}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_the_filter_it_would_break(name):
+    h, _, _ = fly(BARRIERS[name].trial(), filtered=False)
+    assert h.min() < -0.01
+
+
+# --- singular postures: slower, never held ------------------------------------------------------------------------
+
+
+def singular_value(safety, q):
+    return least_singular_value(safety.tool(q).jacobian, 0.3)[0]
+
+
+def test_the_gradient_of_the_singular_value_is_its_derivative(panda):
+    safety = SafetyFilter(panda, msgspec.structs.replace(EXACT, real="float64"))
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        q = np.array(panda.home) + rng.uniform(-0.5, 0.5, 7)
+        gradient = least_singular_value(safety.tool(q).jacobian, 0.3)[1]
+        steps = 1e-5 * np.eye(7)
+        measured = [(singular_value(safety, q + d) - singular_value(safety, q - d)) / 2e-5 for d in steps]
+        np.testing.assert_allclose(gradient, measured, atol=2e-4)
+
+
+def path(seed):
+    """From a random posture through a singular one to its far side."""
+    rng = np.random.default_rng(seed)
+    joints = arm().joints
+    low, high = (np.array([getattr(joint, side).value for joint in joints]) for side in ("lower", "upper"))
+    through = BENT + np.array(
+        [rng.uniform(-1, 1), 0.0, 0.0, rng.uniform(-0.5, 0.3), 0.0, rng.uniform(-0.5, 0.5), rng.uniform(-1, 1)]
+    )
+    away = rng.uniform(-0.4, 0.4, 7)
+    return np.clip(through - away, low + 0.1, high - 0.1), np.clip(through + away, low + 0.1, high - 0.1)
+
+
+def along_the_path(safety, seed, seconds=20.0):
+    """Whether a joint-space servo arrives at the end of the path, and the statuses on the way."""
+    start, end = path(seed)
+    q, statuses = start.copy(), set()
+    for _ in range(int(seconds / safety.body.period)):
+        answer = safety(q, np.zeros(7), 2.0 * (end - q))
+        statuses.add(answer.status)
+        q = q + safety.body.period * answer.u
+        if np.max(np.abs(end - q)) < 0.01:
+            return True, statuses
+    return False, statuses
+
+
+def test_the_paths_do_pass_through_singular_postures():
+    safety = arm_filter()
+    for seed in range(50):
+        start, end = path(seed)
+        assert min(singular_value(safety, start + t * (end - start)) for t in np.linspace(0, 1, 101)) < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 1, pytest.param("all", marks=pytest.mark.slow)])
+def test_paths_through_singular_postures_complete(seed):
+    """Fifty seeded paths with the marker `slow`, two of them always."""
+    safety = arm_filter(barriers=(Singularity(arm().alpha),))
+    for one in range(50) if seed == "all" else (seed,):
+        safety.reset()
+        arrived, statuses = along_the_path(safety, one)
+        assert arrived, f"path {one}"
+        assert statuses <= {Status.SAFE, Status.MODIFIED}
+
+
+def test_it_slows_near_the_singular_posture():
+    """Near the singular posture σ falls no faster than the barrier allows, and at most half as fast as without it."""
+    fastest = {}
+    for barriers in ((), (Singularity(arm().alpha),)):
+        safety = arm_filter(barriers=barriers)
+        q, seen = BENT + np.array([0.0, 0.25, -0.25, 0.0, 0.2, 0.0, 0.0]), []
+        for _ in range(1500):
+            answer = safety(q, np.zeros(7), 1.5 * np.sign(BENT - q) * np.minimum(np.abs(BENT - q) * 5, 0.5))
+            if singular_value(safety, q) < 0.06:
+                _, gradient = least_singular_value(safety.tool(q).jacobian, 0.3)
+                seen.append(-float(gradient @ answer.u))
+            q = q + 1e-3 * answer.u
+        fastest[bool(barriers)] = max(seen)
+    assert fastest[True] <= 0.5 * fastest[False]
+    assert fastest[True] <= max(arm().alpha * 0.03, 0.02) + 5e-3
