@@ -1,0 +1,74 @@
+"""The jerk box: the change of acceleration stays in its limit, and the promises beside it stay as they are."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.embodiment.body import Bound
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.filter import SafetyFilter, Status
+from dualbrain.safety.result import Reason
+
+from . import oracle, scenes
+
+RATIO = 500.0
+"""Jerk limit over acceleration limit [1/s]: the full acceleration is reached in two periods."""
+
+
+@pytest.fixture(scope="module")
+def limited(small):
+    joints = tuple(
+        msgspec.structs.replace(joint, jerk=Bound(RATIO * joint.acceleration.value, "rad/s^3", "for this test"))
+        for joint in small.joints
+    )
+    return msgspec.structs.replace(small, joints=joints)
+
+
+@pytest.fixture(scope="module")
+def small():
+    from dualbrain.safety.barriers.trials import arm  # noqa: PLC0415  # a module-scoped twin of the fixture
+
+    return arm()
+
+
+def test_a_body_without_jerk_limits_says_so(small):
+    with pytest.raises(InvalidSetup, match="jerk"):
+        SafetyFilter(msgspec.structs.replace(small, joints=bare(small)), scenes.config(jerk_limits=True))
+
+
+def bare(body):
+    return tuple(msgspec.structs.replace(joint, jerk=None) for joint in body.joints)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jerk_stays_in_its_limit_under_an_adversary(limited, seed):
+    rng = np.random.default_rng(seed)
+    things = scenes.scene(limited, rng, 8)
+    safety = SafetyFilter(limited, scenes.config(jerk_limits=True))
+    safety.observe(things)
+    v_max = np.array([joint.velocity.value for joint in limited.joints])
+    limit = np.array([joint.jerk.value for joint in limited.joints]) * limited.period**2
+    q, log, yielded, u, before = np.array(limited.home), [], 0, np.zeros(7), np.zeros(7)
+    for tick in range(4000):
+        if tick % 250 == 0:
+            wish = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
+        answer = safety(q, np.zeros(7), wish)
+        jerk = np.abs(answer.u - 2.0 * u + before)
+        if Reason.JERK in answer.reason:
+            yielded += 1
+        elif answer.status is not Status.RELAXED:
+            assert np.all(jerk <= limit * (1 + 1e-3) + 2e-6)
+        u, before = answer.u, u
+        q = q + limited.period * u
+        log.append(q)
+    assert yielded < 40
+    log = np.array(log)
+    assert min(oracle.h_obstacles(limited, log, things).min(), oracle.h_self(limited, log).min()) >= 0.0
+    assert oracle.h_joints(limited, log).min() >= 0.0
+
+
+def test_without_the_box_jerk_is_larger(limited):
+    safety = SafetyFilter(limited, scenes.config())
+    limit = np.array([joint.jerk.value for joint in limited.joints]) * limited.period**2
+    first = safety(np.array(limited.home), np.zeros(7), np.full(7, 2.0)).u
+    assert np.any(np.abs(first) > 1.5 * limit)
