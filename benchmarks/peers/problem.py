@@ -1,0 +1,135 @@
+"""One problem for everybody: an arm of revolute joints covered by spheres, among obstacles. Needs numpy only.
+
+This file is read by every contestant's process, whatever its environment, and is also the reference in float64:
+rows of the plain control barrier function, n'J_s u ≥ −α (h − margin), and the box |u| ≤ v_max,
+−α (q − q_lower) ≤ u ≤ α (q_upper − q).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+SPHERE, CAPSULE, BOX = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Geometry and limits; lengths in m, angles in rad. Frame 0 is the base, frame i follows joint i.
+
+    `joint_rotation` (n, 3, 3) and `joint_offset` (n, 3): parent to joint at q = 0, the joint turns about its own z.
+    Spheres: `sphere_frame` (k,), `sphere_centre` (k, 3) in that frame, `sphere_radius` (k,). Obstacles: `kind` (m,),
+    `position` (m, 3), `rotation` (m, 3, 3), `half` (m, 3), `radius` (m,); a capsule lies along its z with half[2].
+    """
+
+    joint_rotation: np.ndarray
+    joint_offset: np.ndarray
+    q_lower: np.ndarray
+    q_upper: np.ndarray
+    v_max: np.ndarray
+    a_max: np.ndarray
+    home: np.ndarray
+    sphere_frame: np.ndarray
+    sphere_centre: np.ndarray
+    sphere_radius: np.ndarray
+    kind: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    half: np.ndarray
+    radius: np.ndarray
+    alpha: float
+    period: float
+    whole_body: bool
+
+    @property
+    def n(self) -> int:
+        """Joints."""
+        return len(self.joint_offset)
+
+    @property
+    def n_pairs(self) -> int:
+        """Pairs of a moving sphere and an obstacle."""
+        return int(np.count_nonzero(self.sphere_frame)) * len(self.kind)
+
+    def save(self, path: str) -> None:
+        """Write everything to one .npz file."""
+        np.savez(path, **asdict(self))
+
+
+def load(path: str) -> Problem:
+    """The problem at `path`."""
+    with np.load(path) as data:
+        values = {name: data[name] for name in data.files}
+    for name in ("alpha", "period"):
+        values[name] = float(values[name])
+    return Problem(**(values | {"whole_body": bool(values["whole_body"])}))
+
+
+def frames(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (n + 1, 3, 3) and origins (n + 1, 3) of all frames at joint angles q (n,)."""
+    R, p = np.eye(3), np.zeros(3)
+    rotations, origins = [R], [p]
+    for k in range(problem.n):
+        p = p + R @ problem.joint_offset[k]
+        c, s = np.cos(q[k]), np.sin(q[k])
+        R = R @ problem.joint_rotation[k] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rotations.append(R)
+        origins.append(p)
+    return np.array(rotations), np.array(origins)
+
+
+def centres(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """Sphere centres (k, 3)."""
+    rotations, origins = frames(problem, q)
+    at = problem.sphere_frame
+    return origins[at] + np.einsum("kij,kj->ki", rotations[at], problem.sphere_centre)
+
+
+def jacobians(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """Of the sphere centres, (k, 3, n)."""
+    rotations, origins = frames(problem, q)
+    lever = centres(problem, q)[:, None, :] - origins[None, 1:, :]
+    columns = np.cross(rotations[None, 1:, :, 2], lever)
+    moves = np.arange(1, problem.n + 1)[None, :] <= problem.sphere_frame[:, None]
+    return np.swapaxes(columns * moves[:, :, None], 1, 2)
+
+
+def distances(problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From points (k, 3) to every obstacle's surface (k, m) with outward normals (k, m, 3); exact for all kinds."""
+    local = np.einsum("mji,kmj->kmi", problem.rotation, points[:, None, :] - problem.position[None])
+    core = np.clip(local, -problem.half, problem.half)
+    away = local - core
+    size = np.linalg.norm(away, axis=2)
+    inside = problem.half - np.abs(local)
+    face = np.argmin(inside, axis=2)
+    out = np.eye(3)[face] * np.where(local >= 0.0, 1.0, -1.0)
+    buried = size < 1e-12
+    d = np.where(buried, -np.min(inside, axis=2), size) - problem.radius
+    normal = np.where(buried[..., None], out, away / np.maximum(size, 1e-12)[..., None])
+    return d, np.einsum("mij,kmj->kmi", problem.rotation, normal)
+
+
+def clearances(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """H of every moving sphere against every obstacle, (moving spheres, m)."""
+    moving = problem.sphere_frame > 0
+    return distances(problem, centres(problem, q)[moving])[0] - problem.sphere_radius[moving, None]
+
+
+def rows(
+    problem: Problem, q: np.ndarray, *, margin: float = 0.0, near: float = np.inf
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (rows, n), b (rows,) and h (rows,) of all pairs with h < `near`."""
+    moving = problem.sphere_frame > 0
+    d, normal = distances(problem, centres(problem, q)[moving])
+    h = d - problem.sphere_radius[moving, None]
+    s, o = np.nonzero(h < near)
+    A = np.einsum("ri,rij->rj", normal[s, o], jacobians(problem, q)[moving][s])
+    return A, -problem.alpha * (h[s, o] - margin), h[s, o]
+
+
+def box(problem: Problem, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity limits, and joint limits approached no faster than α times the distance."""
+    lower = np.maximum(-problem.v_max, -problem.alpha * (q - problem.q_lower))
+    upper = np.minimum(problem.v_max, problem.alpha * (problem.q_upper - q))
+    return lower, upper

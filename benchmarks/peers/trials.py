@@ -1,0 +1,131 @@
+"""What contestants do where there is no answer, and how near they let an adversary come under acceleration limits."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from peers import scenes
+from peers.contestants import Contestant
+from peers.crew import Child, Refused
+from peers.oracle import optimum
+from peers.problem import SPHERE, Problem, box, centres, rows
+
+LIMITS_PAIRS = 50
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Case:
+    """A state without an answer: `feasible` is the oracle's word on the rows, None where there are no rows to judge."""
+
+    name: str
+    what: str
+    q: list[float]
+    u_nom: list[float]
+    feasible: bool | None
+
+
+def squeezed() -> tuple[Problem, list[Case]]:
+    """The hand between two balls that both reach 1 cm into the same sphere, and states that are no states."""
+    empty = scenes.bare(scenes.thin_body(), whole=False)
+    middle = centres(empty, empty.home)[-1]
+    off = np.array([0.0, empty.sphere_radius[-1] + 0.04 - 0.01, 0.0])
+    problem = scenes.with_obstacles(
+        empty, [(SPHERE, middle + side * off, np.eye(3), np.zeros(3), 0.04) for side in (-1.0, 1.0)]
+    )
+    q, u_nom = problem.home, 0.2 * problem.v_max
+    lost, outside, unasked = q.copy(), q.copy(), u_nom.copy()
+    lost[2] = unasked[2] = np.nan
+    outside[3] = problem.q_upper[3] + 0.8
+    cases = [
+        ("contradiction", "two balls press on the same sphere from both sides: n'Ju ≥ a and −n'Ju ≥ a", q, u_nom),
+        ("outside", "joint 4 stands 0.8 rad beyond its limit: the way back asks for more than v_max", outside, u_nom),
+        ("NaN state", "q₃ is NaN", lost, u_nom),
+        ("NaN nominal", "u_nom₃ is NaN", q, unasked),
+    ]
+    return problem, [
+        Case(name, what, state.tolist(), wish.tolist(), _feasible(problem, state, wish))
+        for name, what, state, wish in cases
+    ]
+
+
+def _feasible(problem: Problem, q: np.ndarray, u_nom: np.ndarray) -> bool | None:
+    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(u_nom))):
+        return None
+    A, b, _ = rows(problem, q)
+    lower, upper = box(problem, q)
+    return bool(np.all(lower <= upper) and np.all(np.isfinite(optimum(A, b, lower, upper, u_nom))))
+
+
+def infeasible(contestants: Sequence[Contestant]) -> list[dict[str, Any]]:
+    """One record for each contestant and case: what came back, and whether anything said so."""
+    problem, cases = squeezed()
+    return [
+        _verdict(contestant, problem, case, child.ask("once", q=case.q, u_nom=case.u_nom))
+        for contestant, child in _prepared(contestants, problem)
+        for case in cases
+    ]
+
+
+def _verdict(contestant: Contestant, problem: Problem, case: Case, answer: dict[str, Any]) -> dict[str, Any]:
+    u = None if answer["u"] is None else np.array(answer["u"])
+    finite = u is not None and bool(np.all(np.isfinite(u)))
+    said = answer["flag"] or "silent" if answer["error"] is None else f"raised {answer['error']}"
+    return {
+        "peer": contestant.name, "case": case.name, "what": case.what, "feasible": case.feasible, "said": said,
+        "finite": finite, "u_max": float(np.max(np.abs(u))) if finite else None,
+        "within_v_max": bool(np.all(np.abs(u) <= problem.v_max + 1e-6)) if finite else None,
+        "is_nominal": bool(np.allclose(u, case.u_nom, atol=1e-3)) if finite else None,
+    }  # fmt: skip
+
+
+def clearance(contestants: Sequence[Contestant], *, steps: int = 3000, seeds: int = 2) -> list[dict[str, Any]]:
+    """Least true h [m] of the closed loop with Panda's a_max, for every contestant at its gains."""
+    problem = scenes.rows_problem(LIMITS_PAIRS)
+    found = []
+    for contestant in contestants:
+        for gain in contestant.gains:
+            options = contestant.options | {"limited": True} | ({} if gain is None else {"alpha": gain})
+            chosen = dataclasses.replace(contestant, options=options)
+            for _, child in _prepared([chosen], problem):
+                runs = [child.ask("loop", 600.0, steps=steps, seed=seed) for seed in range(seeds)]
+                flags: dict[str, int] = {}
+                for run in runs:
+                    for word, count in run["flags"].items():
+                        flags[word] = flags.get(word, 0) + count
+                found.append({
+                    "peer": contestant.name, "alpha": problem.alpha if gain is None else gain,
+                    "h_min": min(run["h_min"] for run in runs), "steps": steps * seeds,
+                    "no_answer": sum(run["failed"] for run in runs),
+                    "followed_share": float(np.mean([run["followed_share"] for run in runs])), "flags": flags,
+                })  # fmt: skip
+                print(
+                    f"  {contestant.name}, α {found[-1]['alpha']:.2f}: {1e3 * found[-1]['h_min']:.2f} mm",
+                    file=sys.stderr,
+                )
+    return found
+
+
+def _prepared(contestants: Sequence[Contestant], problem: Problem) -> Iterator[tuple[Contestant, Child]]:
+    """Those who can take this problem, one after the other."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(Path(folder) / "problem.npz")
+        problem.save(path)
+        for contestant in contestants:
+            try:
+                child = Child(contestant)
+            except Refused:
+                continue
+            try:
+                child.ask("prepare", problem=path, options=contestant.options)
+                yield contestant, child
+            except Refused as why:
+                print(f"  {contestant.name}: {why}", file=sys.stderr)
+            finally:
+                child.close()

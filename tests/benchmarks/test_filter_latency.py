@@ -1,0 +1,126 @@
+"""The comparison with peers, on ours and a fake one: its shape, its bars, and its reference rows."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from peers import scenes
+from peers.bars import bars
+from peers.contestants import Contestant
+from peers.crew import Child, Refused
+from peers.document import write
+from peers.oracle import optimum, second_opinion
+from peers.problem import box, clearances, rows
+
+from tests.once import once
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return once(tmp_path_factory, "quick_latency", quick)[1]
+
+
+def quick(_):
+    site = ["-S"] if sys.flags.no_site else []
+    command = [sys.executable, *site, str(ROOT / "benchmarks" / "filter_latency.py"), "--quick", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ, timeout=60)
+    return (json.loads(done.stdout),)
+
+
+def test_a_quick_run_prints_one_object_of_the_promised_shape(whole):
+    assert {row["peer"] for row in whole["rows"]} == {"dualbrain", "dualbrain, in C", "fake"}
+    for row in whole["rows"]:
+        assert row["setting"] == "rows"
+        assert row["n"] == 10
+        assert 0.0 < row["median_us"] <= row["p99_us"] * 1.0001
+        assert row["ratio"] > 0.0
+    assert next(row for row in whole["rows"] if row["peer"] == "fake")["ratio"] > 2.0
+    assert set(whole) >= {"versions", "infeasible", "clearance", "first_call", "deviation", "bars", "units", "refused"}
+    assert whole["versions"]["fake"]["numpy"] == np.__version__
+
+
+def test_ours_is_exact_flags_what_has_no_answer_and_keeps_clear(whole):
+    ours, fake = whole["deviation"]
+    assert ours["max_on_own_rows"] < 1e-4
+    assert ours["worst_row_violation"] < 1e-5
+    assert fake["worst_row_violation"] > 0.1
+    assert all(one["finite"] and one["within_v_max"] and one["said"] != "silent" for one in whole["infeasible"])
+    assert [one["feasible"] for one in whole["infeasible"]] == [False, False, None, None]
+    assert all(one["h_min"] > 0.0 and one["no_answer"] == 0 for one in whole["clearance"])
+
+
+def test_the_document_renders_every_contestant(whole, tmp_path):
+    write(whole, tmp_path / "peers.md")
+    text = (tmp_path / "peers.md").read_text()
+    assert text.count("fake") >= 4
+    assert "## Bars" in text
+
+
+@pytest.mark.parametrize(("setting", "n"), [("rows", 50), ("primitives", 10)])
+def test_reference_rows_are_derivatives_and_two_solvers_agree(setting, n):
+    problem = scenes.rows_problem(n) if setting == "rows" else scenes.primitives_problem(n)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        q = problem.home + rng.uniform(-0.1, 0.1, problem.n)
+        A, b, _ = rows(problem, q)
+        step = 1e-6 * np.eye(problem.n)
+        slopes = [(clearances(problem, q + e) - clearances(problem, q - e)).ravel() / 2e-6 for e in step]
+        assert np.max(np.abs(np.array(slopes).T - A)) < 1e-6
+        u_nom = rng.uniform(-1.0, 1.0, problem.n) * problem.v_max
+        lower, upper = box(problem, q)
+        u = optimum(A, b, lower, upper, u_nom)
+        assert np.min(A @ u - b) > -1e-9
+        assert np.max(np.abs(u - second_opinion(A, b, lower, upper, u_nom))) < 1e-6
+
+
+def test_recorded_states_ask_for_something():
+    for n in (10, 100):
+        problem = scenes.rows_problem(n)
+        states, nominals, changed = scenes.record(problem, 300, hold=30)
+        assert problem.n_pairs == n
+        assert states.shape == nominals.shape == (300, problem.n)
+        assert 0.1 < changed < 1.0
+        assert min(float(np.min(clearances(problem, q))) for q in states) > 0.0
+
+
+def test_bars_take_the_fastest_peer_and_never_one_of_ours():
+    def row(peer, ratio, **more):
+        base = {"peer": peer, "setting": "rows", "n": 10, "ratio": ratio, "ours": False, "shipped": False}
+        return base | {"same_problem": True} | more
+
+    found = bars(
+        [
+            row("dualbrain", 1.0, ours=True),
+            row("dualbrain, in C", 0.4, ours=True),
+            row("quick", 14.0, same_problem=False),
+            row("slow", 30.0, shipped=True),
+        ]
+    )
+    reached = {bar["bar"]: (bar["reached"], bar["met"]) for bar in found}
+    assert reached["fastest peer, 10 rows"] == (14.0, False)
+    assert reached["fastest peer that states every row, 10 rows"] == (30.0, True)
+    assert reached["cbfpy's default, 10 rows"] == (30.0, False)
+    assert reached["Python over C, 10 rows"] == (2.5, True)
+
+
+def test_a_contestant_that_cannot_come_says_why():
+    with pytest.raises(Refused, match="no environment"):
+        Child(Contestant("nobody", "peers.fake", environment="nowhere"))
+    with pytest.raises(Refused, match="ModuleNotFoundError"):
+        Child(Contestant("nobody", "peers.no_such_module"))
+
+
+def test_a_contestant_that_hangs_is_ended(tmp_path):
+    problem = scenes.rows_problem(10)
+    problem.save(str(tmp_path / "p.npz"))
+    child = Child(Contestant("sleeper", "peers.fake"))
+    child.ask("prepare", problem=str(tmp_path / "p.npz"), options={"nap": 30.0})
+    with pytest.raises(Refused, match="no answer"):
+        child.ask("once", 0.2, q=problem.home.tolist(), u_nom=[0.0] * problem.n)
+    child.close()
