@@ -1,0 +1,629 @@
+/* The cases behind the golden hashes; see cases.h. */
+#include "cases.h"
+
+#include "arm.h"
+
+static dbk_model model;
+static dbk_scene scene;
+static dbk_ctx ctx;
+static dbk_in in;
+static dbk_out out;
+static dbk_rows rows;
+
+/* --- hashing ------------------------------------------------------------------------------------------------------ */
+
+static void mix(golden_result *g, const void *data, size_t size) {
+  const unsigned char *byte = data;
+  for (size_t i = 0; i < size; ++i) { g->hash = (g->hash ^ byte[i]) * 1099511628211u; }
+}
+
+static void mix_real(golden_result *g, dbk_real value) { mix(g, &value, sizeof value); }
+
+static void mix_int(golden_result *g, int32_t value) { mix(g, &value, sizeof value); }
+
+/* every field by itself: padding has no bits worth hashing */
+static void mix_out(golden_result *g) {
+  mix(g, out.u, sizeof out.u);
+  mix_real(g, out.delta);
+  mix_real(g, out.delta_rows);
+  mix_real(g, out.delta_box);
+  mix_real(g, out.h_min);
+  mix_int(g, out.status);
+  mix_int(g, out.flags);
+  mix_int(g, out.certified);
+  mix_int(g, out.iterations);
+  mix_int(g, out.n_rows);
+  mix_int(g, out.relaxed);
+  mix_int(g, out.n_active);
+  for (int a = 0; a < out.n_active; ++a) {
+    mix_int(g, out.active[a].kind);
+    mix_int(g, out.active[a].i);
+    mix_int(g, out.active[a].j);
+    mix_real(g, out.active[a].h);
+    mix_real(g, out.active[a].multiplier);
+  }
+}
+
+/* --- steps and loops ---------------------------------------------------------------------------------------------- */
+
+static void step(golden_result *g) {
+  dbk_step(&model, &scene, &ctx, &in, &out);
+  mix_out(g);
+  ++g->count[out.status];
+  g->flags |= (uint32_t)out.flags;
+  g->relaxed |= (uint32_t)out.relaxed;
+  g->iterations = out.iterations > g->iterations ? out.iterations : g->iterations;
+  g->rows = out.n_rows > g->rows ? out.n_rows : g->rows;
+  g->active = out.n_active > g->active ? out.n_active : g->active;
+}
+
+static void project(golden_result *g, const dbk_real *u_prev, dbk_real extra) {
+  dbk_real u[DBK_MAX_DOF] = {0};
+  mix_int(g, (int32_t)dbk_project(&model, &scene, &ctx, &in, u_prev, extra, u));
+  mix(g, u, sizeof u);
+}
+
+/* the arm at home and at rest, nothing around it */
+static void start(void) {
+  static const double home[7] = {0, -0.3, 0, -2.2, 0, 2.0, 0.785};
+  arm_model(&model);
+  dbk_scene_clear(&scene);
+  dbk_scene_prepare(&scene);
+  dbk_init(&ctx);
+  memset(&in, 0, sizeof in);
+  for (int k = 0; k < 7; ++k) { in.q[k] = (dbk_real)home[k]; }
+  in.opening = (dbk_real)0.02;
+}
+
+/* the plant follows with a lag of 20 periods; the nominal is bang-bang and changes every `hold` steps */
+static void loop(golden_result *g, uint64_t *state, int steps, int hold) {
+  for (int t = 0; t < steps; ++t) {
+    if (t % hold == 0) {
+      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(state, -2.2, 2.2); }
+    }
+    in.scene_age = scene.moving ? (dbk_real)(0.0002 * (t % 2000)) : (dbk_real)0;
+    step(g);
+    for (int k = 0; k < model.n; ++k) {
+      in.v[k] = in.v[k] + (out.u[k] - in.v[k]) * (dbk_real)0.05;
+      in.q[k] += model.period * in.v[k];
+    }
+  }
+}
+
+static void tool(dbk_real p[3]) {
+  dbk_frames f;
+  dbk_base(&in, &f);
+  dbk_fk(&model, in.q, &f);
+  const dbk_real *r = f.rotation[model.n], *o = f.origin[model.n], *t = model.tool_offset;
+  for (int e = 0; e < 3; ++e) { p[e] = o[e] + (r[3 * e] * t[0] + r[3 * e + 1] * t[1] + r[3 * e + 2] * t[2]); }
+}
+
+/* one more obstacle: a sphere that stands still, to be changed by the caller */
+static dbk_obstacle *thing(double x, double y, double z, double radius) {
+  dbk_obstacle *o = &scene.obstacle[scene.n_obstacles++];
+  memset(o, 0, sizeof *o);
+  o->shape = DBK_CAPSULE;
+  o->flags = DBK_STATIC;
+  o->rank = DBK_RANK_OBSTACLE;
+  o->parts = ~0u;
+  o->rotation[0] = o->rotation[4] = o->rotation[8] = 1;
+  o->position[0] = (dbk_real)x;
+  o->position[1] = (dbk_real)y;
+  o->position[2] = (dbk_real)z;
+  o->radius = (dbk_real)radius;
+  return o;
+}
+
+/* the same, placed from the tool */
+static dbk_obstacle *near_tool(double x, double y, double z, double radius) {
+  dbk_real p[3];
+  tool(p);
+  return thing((double)p[0] + x, (double)p[1] + y, (double)p[2] + z, radius);
+}
+
+/* a rotation from a quaternion drawn at random, made exact enough by two Newton steps instead of a square root */
+static void turn(dbk_obstacle *o, uint64_t *state) {
+  double w = 0.6 + 0.3 * chance(state), x = chance(state) - 0.5, y = chance(state) - 0.5, z = chance(state) - 0.5;
+  const double square = w * w + x * x + y * y + z * z;
+  double scale = 1.0;
+  for (int i = 0; i < 30; ++i) { scale = scale * (1.5 - 0.5 * square * scale * scale); }
+  w *= scale;
+  x *= scale;
+  y *= scale;
+  z *= scale;
+  const double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                       2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                       2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
+  for (int e = 0; e < 9; ++e) { o->rotation[e] = (dbk_real)r[e]; }
+}
+
+static void hold_two_balls(void) {
+  scene.n_held = 2;
+  for (int s = 0; s < 2; ++s) {
+    scene.held_x[s] = scene.held_y[s] = 0;
+    scene.held_z[s] = (dbk_real)(0.24 + 0.03 * s);
+    scene.held_r[s] = (dbk_real)0.03;
+  }
+  scene.held_error = (dbk_real)0.002;
+}
+
+/* --- cases -------------------------------------------------------------------------------------------------------- */
+
+/* random scenes, every shape in every attitude, moving and not, with and without a held thing */
+static void scenes(golden_result *g) {
+  for (uint64_t run = 0; run < 6; ++run) {
+    uint64_t state = run * 7919 + 1;
+    start();
+    arm_scene(&scene, &state, 8);
+    for (int o = 1; o < scene.n_obstacles; ++o) { turn(&scene.obstacle[o], &state); }
+    if (run % 2) { hold_two_balls(); }
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 600, 100);
+  }
+}
+
+static void still_things(golden_result *g) {
+  for (uint64_t run = 0; run < 3; ++run) {
+    uint64_t state = run + 50;
+    start();
+    arm_scene(&scene, &state, 14);
+    for (int o = 0; o < scene.n_obstacles; ++o) {
+      scene.obstacle[o].flags = DBK_STATIC;
+      for (int e = 0; e < 3; ++e) { scene.obstacle[o].velocity[e] = 0; }
+      scene.obstacle[o].velocity_error = 0;
+      if (o % 4 == 3) { scene.obstacle[o].alpha = (dbk_real)1.5; }
+    }
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 800, 150);
+  }
+}
+
+/* nothing but the robot's own parts, and a held thing that may meet them */
+static void own_parts(golden_result *g) {
+  uint64_t state = 7;
+  start();
+  for (int run = 0; run < 4; ++run) {
+    if (run == 2) {
+      hold_two_balls();
+      dbk_scene_prepare(&scene);
+    }
+    loop(g, &state, 700, 350);
+  }
+}
+
+/* the tool is driven into a thing that parts of it may touch */
+static void permits(golden_result *g) {
+  uint64_t state = 3;
+  start();
+  near_tool(0.0, 0.0, -0.05, 0.04);
+  near_tool(0.1, 0.0, 0.0, 0.05)->shape = DBK_BOX;
+  scene.obstacle[1].half[0] = scene.obstacle[1].half[1] = scene.obstacle[1].half[2] = (dbk_real)0.03;
+  for (int l = 5; l < 8; ++l) { scene.permit[l][0] = (dbk_real)0.05; }
+  scene.permit[7][1] = (dbk_real)0.02;
+  scene.permit[8][0] = (dbk_real)0.1;
+  hold_two_balls();
+  scene.obstacle[0].parts = ~(1u << 4);
+  dbk_scene_prepare(&scene);
+  loop(g, &state, 1200, 120);
+}
+
+/* the arm starts inside things: on the axis of a capsule, in the middle of a box, under the table */
+static void recovery(golden_result *g) {
+  for (int shape = 0; shape < 3; ++shape) {
+    uint64_t state = (uint64_t)shape;
+    dbk_cloud cloud;
+    dbk_frames f;
+    start();
+    dbk_base(&in, &f);
+    dbk_fk(&model, in.q, &f);
+    dbk_spheres(&model, &scene, &f, in.opening, &cloud);
+    dbk_obstacle *o = thing((double)cloud.x[8], (double)cloud.y[8], (double)cloud.z[8], 0.03);
+    o->shape = shape;
+    o->half[0] = (dbk_real)0.02;
+    o->half[1] = (dbk_real)0.04;
+    o->half[2] = (dbk_real)0.03;
+    if (shape == DBK_HALF_SPACE) { o->position[2] += (dbk_real)0.05; }
+    dbk_scene_prepare(&scene);
+    for (int t = 0; t < 300; ++t) {
+      step(g);
+      for (int k = 0; k < model.n; ++k) { in.q[k] += model.period * out.u[k]; }
+    }
+    loop(g, &state, 200, 50);
+  }
+}
+
+/* joints are driven into their limits, and start beyond them */
+static void joint_limits(golden_result *g) {
+  for (int side = -1; side <= 1; side += 2) {
+    start();
+    for (int k = 0; k < model.n; ++k) {
+      in.q[k] = side < 0 ? model.q_lower[k] + (dbk_real)(0.05 * (k - 2)) : model.q_upper[k] - (dbk_real)(0.05 * (k - 2));
+      ctx.u_prev[k] = (dbk_real)side * (dbk_real)0.9 * model.v_max[k];
+      in.u_nom[k] = (dbk_real)side * model.v_max[k];
+    }
+    for (int t = 0; t < 400; ++t) {
+      step(g);
+      for (int k = 0; k < model.n; ++k) { in.q[k] += model.period * out.u[k]; }
+    }
+  }
+}
+
+/* two things close in from both sides: no control meets both rows */
+static void closing_in(golden_result *g) {
+  for (int run = 0; run < 4; ++run) {
+    uint64_t state = (uint64_t)run + 20;
+    start();
+    for (int side = -1; side <= 1; side += 2) {
+      dbk_obstacle *o = near_tool(0.0, 0.16 * side, 0.0, 0.05);
+      o->flags = run % 2 ? DBK_KNOWN : 0;
+      o->velocity[1] = (dbk_real)(-0.5 * side);
+      o->rank = side < 0 || run < 2 ? DBK_RANK_BODY : DBK_RANK_TASK;
+    }
+    dbk_obstacle *floor_below = near_tool(0.0, 0.0, -0.12, 0.0);
+    floor_below->shape = DBK_HALF_SPACE;
+    floor_below->rank = DBK_RANK_WORKSPACE;
+    dbk_scene_prepare(&scene);
+    for (int k = 0; k < model.n; ++k) { ctx.u_prev[k] = (dbk_real)(0.2 * (k % 2 ? 1 : -1)); }
+    loop(g, &state, 300, 60);
+    project(g, ctx.u_prev, (dbk_real)5e-4);
+  }
+}
+
+/* a wall appears right ahead at full speed: braking is not enough, and neither is the certificate's */
+static void too_late(golden_result *g) {
+  for (int run = 0; run < 6; ++run) {
+    start();
+    for (int k = 0; k < model.n; ++k) {
+      ctx.u_prev[k] = in.v[k] = (dbk_real)0.8 * model.v_max[k] * (k % 2 ? 1 : (run % 2 ? 1 : -1));
+      in.u_nom[k] = ctx.u_prev[k];
+    }
+    for (int t = 0; t < 60; ++t) {
+      if (t == 10) {
+        near_tool(0.0, 0.02 * (run - 3), -0.04 - 0.01 * run, 0.03)->flags = run % 3 ? DBK_STATIC : 0;
+        dbk_scene_prepare(&scene);
+      }
+      step(g);
+      for (int k = 0; k < model.n; ++k) {
+        in.q[k] += model.period * out.u[k];
+        in.v[k] = out.u[k];
+      }
+    }
+  }
+}
+
+/* rows that the linearisation cannot be trusted with: a large alpha and a long period make the certificate speak */
+static void uncertain(golden_result *g) {
+  for (int run = 0; run < 3; ++run) {
+    uint64_t state = (uint64_t)run + 30;
+    start();
+    model.period = (dbk_real)0.01;
+    model.alpha = model.alpha_self = (dbk_real)(20.0 + 30.0 * run);
+    model.lag = 0;
+    for (int k = 0; k < model.n; ++k) { model.a_max[k] *= run == 2 ? (dbk_real)30 : (dbk_real)2; }
+    dbk_prepare(&model);
+    for (int o = 0; o < 10; ++o) {
+      const double x = chance(&state) < 0.5 ? -0.13 : 0.13, y = 0.4 * chance(&state) - 0.2;
+      near_tool(x, y, 0.4 * chance(&state) - 0.3, 0.03);
+    }
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 300, 20);
+  }
+}
+
+/* everything that makes the filter refuse to believe its input */
+static void refusals(golden_result *g) {
+  const dbk_real none = (dbk_real)1e30 * (dbk_real)1e30, hole = none - none;
+  for (int what = 0; what < 20; ++what) {
+    start();
+    dbk_obstacle *o = thing(0.5, 0.4, 0.3, 0.05);
+    for (int k = 0; k < model.n; ++k) { ctx.u_prev[k] = (dbk_real)(0.1 * (k - 3)); }
+    if (what == 0) { in.q[2] = hole; }
+    if (what == 1) { in.v[5] = none; }
+    if (what == 2) { in.u_nom[6] = hole; }
+    if (what == 3) { in.opening = (dbk_real)0.3; }
+    if (what == 4) { in.state_age = (dbk_real)0.2; }
+    if (what == 5) { in.state_age = (dbk_real)-0.1; }
+    if (what == 6) { in.scene_age = hole; }
+    if (what == 7) { o->flags = 0; in.scene_age = (dbk_real)0.7; }
+    if (what == 8) { in.q[1] = (dbk_real)3; }
+    if (what == 9) { in.mobile = 1; in.base_rotation[3] = hole; }
+    if (what == 10) { o->position[1] = none; }
+    if (what == 11) { o->shape = 9; }
+    if (what == 12) { o->radius = (dbk_real)-1; }
+    if (what == 13) { scene.n_held = 99; }
+    if (what == 14) { scene.n_held = 1; scene.held_r[0] = hole; }
+    if (what == 15) { o->alpha = (dbk_real)-1; }
+    if (what == 16) { o->brake = none; }
+    if (what == 17) { o->rank = 0; }
+    if (what == 18) { scene.n_user = 1; scene.user_rank[0] = DBK_RANK_TASK; scene.user_a[0][0] = hole; }
+    if (what == 19) { in.u_nom[0] = (dbk_real)1e20; }
+    dbk_scene_prepare(&scene);
+    step(g);
+    step(g);
+    project(g, ctx.u_prev, (dbk_real)5e-4);
+    scene.n_user = scene.n_held = 0;
+  }
+}
+
+/* parts of the arm that no joint moves away: stuck inside, and passed by something that moves */
+static void no_way_out(golden_result *g) {
+  for (int run = 0; run < 4; ++run) {
+    start();
+    dbk_obstacle *o = thing(0.0, 0.0, run % 2 ? 0.333 : 0.9, 0.3);
+    o->flags = run < 2 ? 0 : DBK_STATIC;
+    o->velocity[2] = run < 2 ? (dbk_real)-0.5 : 0;
+    if (run == 3) {
+      model.n_pairs = 0;
+      for (int s = 0; s < model.n_spheres; ++s) { model.x[s] = model.y[s] = model.z[s] = 0; }
+      for (int k = 0; k < model.n; ++k) {
+        for (int e = 0; e < 2; ++e) { model.joint_offset[k][e] = 0; }
+        if (k) { model.joint_offset[k][2] = 0; }
+      }
+      dbk_prepare(&model);
+    }
+    dbk_scene_prepare(&scene);
+    for (int t = 0; t < 20; ++t) {
+      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = (dbk_real)0.01; }
+      step(g);
+      project(g, ctx.u_prev, 0);
+    }
+  }
+}
+
+/* many balls on the last frame, on one link or on thirteen */
+static void many_balls(int32_t n_links) {
+  uint64_t state = 77;
+  model.n_spheres = DBK_MAX_SPHERES;
+  model.n_links = n_links;
+  for (int s = 12; s < DBK_MAX_SPHERES; ++s) {
+    model.x[s] = between(&state, -0.05, 0.05);
+    model.y[s] = between(&state, -0.05, 0.05);
+    model.z[s] = between(&state, 0.0, 0.2);
+    model.radius[s] = (dbk_real)0.02;
+  }
+  for (int l = 7; l < n_links; ++l) {
+    model.link_frame[l] = 7;
+    model.link_first[l + 1] = l == n_links - 1 ? DBK_MAX_SPHERES : 12 + (l - 6) * 7;
+  }
+}
+
+/* more rows than there is room for, with rows of the user's behind them, and more visits */
+static void overflow(golden_result *g) {
+  for (int run = 0; run < 2; ++run) {
+    uint64_t state = 78;
+    start();
+    many_balls(run ? DBK_MAX_LINKS : 8);
+    if (run) { /* own parts that overlap */
+      for (int s = model.link_first[1]; s < model.link_first[7]; ++s) { model.radius[s] = (dbk_real)0.6; }
+      for (int l = 8; l < DBK_MAX_LINKS; ++l) {
+        for (int near = 1; near < 7; ++near) {
+          model.pair[model.n_pairs][0] = near;
+          model.pair[model.n_pairs++][1] = l;
+        }
+      }
+      hold_two_balls();
+    }
+    dbk_prepare(&model);
+    for (int o = 0; o < DBK_MAX_OBSTACLES; ++o) {
+      const double x = 0.2 * chance(&state) - 0.1, y = 0.2 * chance(&state) - 0.1;
+      near_tool(x, y, 0.2 * chance(&state) - 0.1, run ? 1.5 : 0.15 - 0.002 * o);
+      for (int l = 0; run && l < DBK_ALL_LINKS; ++l) { scene.permit[l][o] = (dbk_real)(-1 - l % 2); } /* none, twice */
+    }
+    scene.n_user = 2;
+    for (int r = 0; r < 2; ++r) {
+      scene.user_rank[r] = DBK_RANK_TASK;
+      for (int k = 0; k < model.n; ++k) { scene.user_a[r][k] = (dbk_real)(k == r); }
+      scene.user_b[r] = (dbk_real)-0.5;
+    }
+    dbk_scene_prepare(&scene);
+    for (int t = 0; t < 3; ++t) {
+      step(g);
+      project(g, ctx.u_prev, (dbk_real)1e-3);
+    }
+  }
+  scene.n_user = 0;
+}
+
+/* what only φ's projection sees: known things, extra clearance, its own u_prev */
+static void projection(golden_result *g) {
+  uint64_t state = 9;
+  dbk_real u_prev[DBK_MAX_DOF] = {0};
+  start();
+  arm_scene(&scene, &state, 10);
+  for (int t = 0; t < 1000; ++t) {
+    if (t % 100 == 0) {
+      for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(&state, -2.2, 2.2); }
+    }
+    dbk_real u[DBK_MAX_DOF] = {0};
+    mix_int(g, (int32_t)dbk_project(&model, &scene, &ctx, &in, u_prev, (dbk_real)5e-4, u));
+    mix(g, u, sizeof u);
+    memcpy(u_prev, u, sizeof u);
+    for (int k = 0; k < model.n; ++k) { in.q[k] += model.period * u[k]; }
+  }
+}
+
+/* rows that a user hands in: met, binding, conflicting, and without a direction */
+static void user_rows(golden_result *g) {
+  for (int run = 0; run < 4; ++run) {
+    uint64_t state = (uint64_t)run + 60;
+    start();
+    if (run == 1) { arm_scene(&scene, &state, 8); }
+    scene.n_user = 6;
+    for (int r = 0; r < scene.n_user; ++r) {
+      scene.user_rank[r] = DBK_RANK_BODY + r % 4;
+      scene.user_b[r] = between(&state, -0.3, run == 2 ? 0.4 : -0.02);
+      scene.user_h[r] = between(&state, 0.0, 0.2);
+      for (int k = 0; k < model.n; ++k) { scene.user_a[r][k] = run == 3 && r < 2 ? 0 : between(&state, -1.0, 1.0); }
+    }
+    if (run == 3) { scene.user_b[1] = (dbk_real)0.1; }
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 400, 80);
+  }
+  scene.n_user = 0;
+}
+
+/* people: speed and separation, standing and moving, too near from the start */
+static void separation(golden_result *g) {
+  for (int run = 0; run < 4; ++run) {
+    uint64_t state = (uint64_t)run + 90;
+    start();
+    dbk_obstacle *o = near_tool(run == 3 ? 0.06 : 0.3, 0.05, 0.0, 0.05);
+    o->flags = run == 1 ? DBK_STATIC : 0;
+    o->rank = DBK_RANK_BODY;
+    o->reaction = (dbk_real)0.1;
+    o->brake = (dbk_real)(run == 2 ? 0.5 : 3.0);
+    o->approach = (dbk_real)(run == 0 ? 0.0 : 0.4);
+    o->velocity[0] = (dbk_real)(run == 1 ? 0.0 : -0.15);
+    o->velocity_error = (dbk_real)(run == 1 ? 0.0 : 0.02);
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 500, 100);
+  }
+}
+
+/* the jerk limit, alone, beside obstacles, and where another limit leaves it no room */
+static void jerk(golden_result *g) {
+  for (int run = 0; run < 3; ++run) {
+    uint64_t state = (uint64_t)run + 120;
+    start();
+    for (int k = 0; k < model.n; ++k) { model.j_max[k] = k == 4 ? 0 : (dbk_real)(run == 1 ? 200.0 : 3000.0); }
+    if (run) {
+      arm_scene(&scene, &state, 8);
+      dbk_scene_prepare(&scene);
+    }
+    if (run == 2) {
+      for (int k = 0; k < model.n; ++k) {
+        ctx.change[k] = (dbk_real)0.01;
+        ctx.u_prev[k] = model.v_max[k];
+      }
+    }
+    loop(g, &state, 600, 70);
+  }
+}
+
+/* joints that slide: a gantry of three under the arm's last four */
+static void sliding(golden_result *g) {
+  for (int run = 0; run < 2; ++run) {
+    uint64_t state = (uint64_t)run + 150;
+    start();
+    for (int k = 0; k < 3; ++k) {
+      model.joint_kind[k] = DBK_PRISMATIC;
+      model.q_lower[k] = (dbk_real)-0.5;
+      model.q_upper[k] = (dbk_real)0.5;
+      in.q[k] = 0;
+    }
+    dbk_prepare(&model);
+    arm_scene(&scene, &state, 10);
+    if (run) { hold_two_balls(); }
+    dbk_scene_prepare(&scene);
+    loop(g, &state, 600, 90);
+  }
+}
+
+/* a base that stands elsewhere, and turns while the arm works */
+static void mobile_base(golden_result *g) {
+  uint64_t state = 180;
+  start();
+  arm_scene(&scene, &state, 8);
+  in.mobile = 1;
+  in.base_rotation[8] = 1;
+  for (int piece = 0; piece < 4; ++piece) {
+    const dbk_real s = (dbk_real)(0.2 * piece);
+    dbk_real sine, cosine;
+    dbk_sincos(s, &sine, &cosine);
+    in.base_rotation[0] = in.base_rotation[4] = cosine;
+    in.base_rotation[3] = sine;
+    in.base_rotation[1] = -sine;
+    in.base_position[0] = (dbk_real)(0.05 * piece);
+    in.base_position[2] = (dbk_real)0.1;
+    loop(g, &state, 250, 60);
+  }
+}
+
+/* the parts by themselves: sine and cosine, Jacobian, and the QP on generic, nearly parallel and infeasible rows */
+static void parts(golden_result *g) {
+  uint64_t state = 200;
+  start();
+  for (int t = 0; t < 2000; ++t) {
+    dbk_real s, c;
+    dbk_sincos(t ? between(&state, -9.0, 9.0) : (dbk_real)1e9, &s, &c);
+    mix_real(g, s);
+    mix_real(g, c);
+  }
+  for (int t = 0; t < 50; ++t) {
+    dbk_frames f;
+    dbk_real p[3], linear[3][DBK_MAX_DOF] = {{0}}, angular[3][DBK_MAX_DOF] = {{0}};
+    for (int k = 0; k < model.n; ++k) {
+      in.q[k] = between(&state, (double)model.q_lower[k], (double)model.q_upper[k]);
+      model.joint_kind[k] = t % 2 && k < 2 ? DBK_PRISMATIC : DBK_REVOLUTE;
+    }
+    tool(p);
+    dbk_base(&in, &f);
+    dbk_fk(&model, in.q, &f);
+    dbk_jacobian(&model, &f, p, linear, angular);
+    mix(g, p, sizeof p);
+    mix(g, linear, sizeof linear);
+    mix(g, angular, sizeof angular);
+  }
+}
+
+static void programs(golden_result *g) {
+  const dbk_model *const arm = &model;
+  uint64_t state = 220;
+  start();
+  for (int t = 0; t < 600; ++t) {
+    dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], u_nom[DBK_MAX_DOF];
+    dbk_solution s;
+    int32_t warm[3];
+    rows.count = (int32_t)(chance(&state) * 60);
+    for (int r = 0; r < (rows.count + DBK_LANES - 1) / DBK_LANES * DBK_LANES; ++r) {
+      for (int k = 0; k < 7; ++k) { rows.a[k][r] = r < rows.count ? between(&state, -0.6, 0.6) : 0; }
+      rows.b[r] = r < rows.count ? between(&state, -1.5, t % 3 ? -0.1 : 0.5) : (dbk_real)-1e9;
+      if (t % 4 == 0 && r % 3 == 1) {
+        for (int k = 0; k < 7; ++k) { rows.a[k][r] = rows.a[k][r - 1] * (dbk_real)1.00001; }
+      }
+      rows.soft[r] = (dbk_real)(r % 2 ? 0.001 : 0.0);
+    }
+    for (int k = 0; k < 7; ++k) {
+      lower[k] = between(&state, -1.0, -0.1);
+      upper[k] = between(&state, 0.1, 1.0);
+      u_nom[k] = between(&state, -2.0, 2.0);
+    }
+    for (int w = 0; w < 3; ++w) { warm[w] = (int32_t)(chance(&state) * (13.9 + (double)rows.count)); }
+    mix_int(g, dbk_qp(&rows, 7, arm->scale, lower, upper, u_nom, t % 5 == 0, 0, warm, t % 2 ? 3 : 0, &s));
+    mix(g, s.u, 7 * sizeof s.u[0]);
+    mix_int(g, s.iterations);
+    mix_int(g, s.infeasible);
+    mix_int(g, s.n_active);
+    for (int a = 0; a < s.n_active; ++a) {
+      mix_int(g, s.active[a]);
+      mix_real(g, s.multiplier[a]);
+    }
+    g->iterations = s.iterations > g->iterations ? s.iterations : g->iterations;
+    g->rows = rows.count > g->rows ? rows.count : g->rows;
+  }
+}
+
+/* --- the table ---------------------------------------------------------------------------------------------------- */
+
+static const struct {
+  const char *name;
+  void (*run)(golden_result *g);
+} table[] = {
+    {"scenes", scenes},         {"still_things", still_things}, {"own_parts", own_parts},
+    {"permits", permits},       {"recovery", recovery},         {"joint_limits", joint_limits},
+    {"closing_in", closing_in}, {"too_late", too_late},         {"uncertain", uncertain},
+    {"refusals", refusals},     {"no_way_out", no_way_out},     {"overflow", overflow},
+    {"projection", projection}, {"user_rows", user_rows},       {"separation", separation},
+    {"jerk", jerk},             {"sliding", sliding},           {"mobile_base", mobile_base},
+    {"parts", parts},           {"programs", programs},
+};
+
+const int golden_count = sizeof table / sizeof table[0];
+
+const char *golden_name(int index) { return table[index].name; }
+
+void golden_run(int index, golden_result *result) {
+  memset(result, 0, sizeof *result);
+  result->hash = 1469598103934665603u;
+  table[index].run(result);
+}
