@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -160,6 +161,18 @@ def test_a_shadow_only_watches():
     assert min(info["h_min"] for info in infos) < -0.01
 
 
+def test_open_fingers_reach_farther():
+    tool = SafetyFilter(PANDA).tool(np.array(PANDA.home))
+    ball = Obstacle("ball", Sphere(0.02), Pose(tuple(tool.position + 0.12 * tool.rotation[:, 1])))
+    h = {}
+    for opening in (0.0, 0.04):
+        env = velocity_env(safety=filtered_by(things=[ball]), opening=lambda _, opening=opening: opening)
+        env.reset(seed=0)
+        h[opening] = env.step(np.zeros(7, np.float32))[4]["h_min"]
+        assert h[opening] == pytest.approx(least(np.array([PANDA.home]), [ball], opening), abs=2e-5)
+    assert h[0.04] < h[0.0] - 0.01
+
+
 def test_moving_things_are_seen_in_every_step():
     """A ball comes down at the hand at 10 cm/s; the policy wants to stand still."""
     start = SafetyFilter(SLOW).tool(np.array(PANDA.home)).position + np.array([0.0, 0.0, 0.35])
@@ -248,6 +261,35 @@ def test_no_torque_policy_brings_h_below_zero(choose):
     assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
     bare, _ = torques(Push(10**6), choose, 900, 0)
     assert least(bare, FLOOR, 0.04) < -0.005
+
+
+class Blocked(gymnasium.Env):
+    """An arm that somebody holds: no torque moves it. It is its own dynamics, of unit inertia."""
+
+    action_space = gymnasium.spaces.Box(-100.0, 100.0, (7,), np.float64)
+    observation_space = gymnasium.spaces.Box(-4.0, 4.0, (14,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        return np.concatenate([PANDA.home, np.zeros(7)]), {}
+
+    def step(self, action):
+        return self.reset()[0], 0.0, False, False, {}
+
+    def acceleration(self, q, v, torque):
+        return torque
+
+    def track(self, q, v, u):
+        return (u - v) / PANDA.period
+
+
+def test_a_blocked_arm_winds_nothing_up():
+    """The wish goes out from the velocity that the arm has, not from the one that it was to have."""
+    bare = Blocked()
+    env = FilteredEnv(bare, filtered_by(PANDA, (), PUSHED), torque=bare)
+    env.reset()
+    applied = [env.step(np.full(7, 90.0))[4]["applied"] for _ in range(50)]
+    np.testing.assert_allclose(applied[0], [j.acceleration.value for j in PANDA.joints], rtol=1e-5)
+    np.testing.assert_allclose(applied, np.tile(applied[0], (50, 1)))
 
 
 def test_a_gentle_torque_passes_untouched():
