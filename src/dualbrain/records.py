@@ -260,3 +260,5 @@ class Episode(Record, frozen=True):
     judgement: Judgement | None
     timings: dict[str, float]
     versions: dict[str, str]
+    binding: dict[str, int] = {}
+    """Ticks of the contract on which each barrier bound, by the barrier's name."""

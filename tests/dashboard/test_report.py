@@ -1,5 +1,6 @@
 """The report: self-contained, escaped, small, and sensible for every way a run can end."""
 
+import html
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,7 @@ from dualbrain.dashboard.plots import envelope
 from dualbrain.dashboard.report import Snapshot, render_report, write_report
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.runtime.trace import Trace
+from dualbrain.safety.barriers import BARRIERS
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
 EMPTY = Trace(7)
@@ -108,6 +110,13 @@ def test_numbers_are_those_of_the_episode(page: str, episode: Episode) -> None:
         "e-0029",
     ):
         assert told in parsed.text
+
+
+def test_every_barrier_is_listed_with_the_ticks_it_bound(episode: Episode, trace: Trace) -> None:
+    told = msgspec.structs.replace(episode, binding={"workspace": 123})
+    page = render_report(told, trace)
+    assert all(html.escape(one.says) in page for one in BARRIERS.values())
+    assert ">123<" in page
 
 
 def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:

@@ -44,6 +44,7 @@ def moment(body: Body, trace: Trace, scene: Scene, k: int) -> ViewState:
     numbers = {
         "phase": trace.phases[int(trace["phase"][k])],
         "status": ("safe", "modified")[int(trace["status"][k])],
+        "barriers": "obstacle",
         "h_min": float(trace["h_min"][k]),
         "delta": float(delta[-1]),
         "Delta": float(delta.mean()),

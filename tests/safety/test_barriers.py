@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dualbrain.safety.barriers import BARRIERS
+from dualbrain.safety.barriers.__main__ import page
 from dualbrain.safety.barriers.singularity import BENT, Singularity, least_singular_value
 from dualbrain.safety.barriers.trials import EXACT, advance, arm, arm_filter
 from dualbrain.safety.filter import SafetyFilter, Status
@@ -34,7 +35,7 @@ def fly(trial, *, filtered=True):
 
 
 def test_every_file_is_a_barrier_of_its_name():
-    files = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "barrier", "trials"}
+    files = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__", "barrier", "trials"}
     assert files == set(BARRIERS)
 
 
@@ -128,3 +129,8 @@ def test_it_slows_near_the_singular_posture():
         fastest[bool(barriers)] = max(seen)
     assert fastest[True] <= 0.5 * fastest[False]
     assert fastest[True] <= max(arm().alpha * 0.03, 0.02) + 5e-3
+
+
+def test_the_page_of_barriers_is_the_one_that_is_written():
+    stored = Path(__file__).resolve().parents[2] / "docs" / "barriers.md"
+    assert stored.read_text() == page(), "write it anew: python -m dualbrain.safety.barriers > docs/barriers.md"

@@ -54,7 +54,8 @@ class Lookout:
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
             "speed": float(np.linalg.norm(result.u)), "elapsed": state.stamp,
-            "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name, "planner": "",
+            "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name,
+            "barriers": ", ".join(result.barriers).replace("_", " "), "planner": "",
         }  # fmt: skip
         frames = self._plant.link_poses()
         self._view.show(

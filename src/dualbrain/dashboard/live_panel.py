@@ -30,7 +30,8 @@ STYLE = """<style>
 </style>"""
 
 ROWS = (
-    ("phase", "phase", ""), ("status", "filter", ""), ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
+    ("phase", "phase", ""), ("status", "filter", ""), ("barriers", "barriers that bind", ""),
+    ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
     ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"), ("speed", "joint speed", "rad/s"),
     ("planner", "planner", ""), ("elapsed", "elapsed", "s"),
 )  # fmt: skip

@@ -19,6 +19,7 @@ from dualbrain.dashboard.page import Html, badge, document, element, join, secti
 from dualbrain.dashboard.plots import strip_chart
 from dualbrain.records import Attempt, Episode, Exemplar
 from dualbrain.runtime.trace import DEAD_BAND, Event, Trace
+from dualbrain.safety.barriers import BARRIERS
 
 TONES = {
     "succeeded": "good", "failed": "bad", "taken_over": "warn", "rejected": "warn", "declined": "quiet",
@@ -54,6 +55,7 @@ def render_report(episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] 
         _planner(episode),
         _memory(episode, trace.events),
         _violations(episode),
+        _barriers(episode),
         _events(trace.events),
         _origin(episode),
     )
@@ -246,6 +248,16 @@ def _violations(episode: Episode) -> Html:
     head = ("kind", "bodies", "at [s]", "for [s]", "peak", "body was perceived")
     note = f"independent monitor on simulator truth; task progress {100 * judgement.progress:.0f} %"
     return section("Safety violations", table(head, rows, right=(2, 3, 4)), note=note)
+
+
+def _barriers(episode: Episode) -> Html:
+    """Every barrier that the filter knows, and how often it spoke."""
+    rows = [
+        (one.name.replace("_", " "), one.says, "never" if one.rank is None else one.rank.name.lower(),
+         str(episode.binding.get(one.name, 0)))
+        for one in BARRIERS.values()
+    ]  # fmt: skip
+    return section("Barriers", table(("barrier", "what it keeps", "given up", "ticks it bound"), rows, right=(3,)))
 
 
 def _events(events: Sequence[Event]) -> Html:

@@ -101,7 +101,7 @@ def run_episode(
         errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary,
         recall,
         tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
-        _timings(attempts, outcome), witness.versions,
+        _timings(attempts, outcome), witness.versions, dict(layer.log.binding),
     )  # fmt: skip
     keep(episode)
     return episode, memory.store(episode, posture, now=now)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -26,12 +27,18 @@ class FlightLog:
         recorder: Recorder | None = None,
         announce: Callable[[Event], None] | None = None,
     ) -> None:
-        """Bind the trace and, if given, the recorder and whoever is told of events as they happen."""
+        """Bind the trace and, if given, the recorder and whoever is told of events as they happen.
+
+        `binding` counts the ticks of actions on which each barrier bound.
+        """
         self.trace, self.recorder, self._announce = trace, recorder, announce
+        self.binding: Counter[str] = Counter()
 
     def tick(self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str) -> None:
         """Log one control tick."""
         row = self.trace.append(now, state, u_nom, result, action=action, phase=phase)
+        if action >= 0 and result.rows:
+            self.binding.update(result.barriers)
         if self.recorder:
             self.recorder.tick(row)
 

@@ -12,7 +12,9 @@ __all__ = ["BARRIERS", "Barrier", "Trial"]
 
 def _found() -> dict[str, Barrier]:
     """Every `BARRIER` of this package by name, those that are given up last first."""
-    names = [module.name for module in pkgutil.iter_modules(__path__) if module.name not in ("barrier", "trials")]
+    names = [
+        module.name for module in pkgutil.iter_modules(__path__) if module.name not in ("__main__", "barrier", "trials")
+    ]
     found: list[Barrier] = [importlib.import_module(f"{__name__}.{name}").BARRIER for name in names]
     return {barrier.name: barrier for barrier in sorted(found, key=lambda one: (one.rank or 0, one.name))}
 
