@@ -1,0 +1,41 @@
+"""The table of barriers as markdown, as it stands in docs/barriers.md: `python -m dualbrain.safety.barriers`."""
+
+from __future__ import annotations
+
+import sys
+
+from dualbrain.safety.barriers import BARRIERS
+from dualbrain.safety.barriers.barrier import Barrier
+
+HEAD = """# Barriers
+
+What the filter keeps. One file a barrier in `src/dualbrain/safety/barriers/`; a new file with a `BARRIER` in it appears
+here (`python -m dualbrain.safety.barriers > docs/barriers.md`), in the tests (`tests/safety/test_barriers.py`: pushed
+hard it holds, it tells its name, without the filter it would break) and in the live view and the report.
+
+When no control can meet all rows, they are given up by rank, task first, then workspace, obstacle, body; the box of
+joint velocity, acceleration and position never, nor a row about something that stands still as long as braking meets
+it. The aim is then the hardest admissible braking, not the nominal control.
+
+h is kept at or above zero by ḣ ≥ −α h, with α ≤ min(a_max/v_max) unless stated otherwise, so that the acceleration
+limits can follow. For h < 0 a row asks for ḣ ≥ min(α|h|, recovery speed) and never forbids moving away. Margins beyond
+h = 0: *sampling* (a step of finite length), *tracking* (ẏ ≠ u), *measurement* (obstacle margin), *age* (velocity error
+× age of the observation), *rounding* (float32)."""
+
+
+def page() -> str:
+    """The whole page."""
+    return "\n\n".join([HEAD, *map(_entry, BARRIERS.values())]) + "\n"
+
+
+def _entry(one: Barrier) -> str:
+    rank = "never (part of the box)" if one.rank is None else one.rank.name.lower()
+    facts = {
+        "Keeps": one.says, "h": one.h, "Row": one.row, "Given up": rank, "α": one.alpha,
+        "Margins": ", ".join(one.margins) or "none", "Source": one.source, "Where": f"`{one.where}`",
+    }  # fmt: skip
+    return "\n".join([f"## {one.name}", "", *(f"- **{key}**: {value}" for key, value in facts.items())])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
