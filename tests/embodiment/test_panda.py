@@ -76,5 +76,6 @@ def test_the_gripper_opens_as_far_as_the_asset_says():
     assert 0 < PANDA.gripper.force_min.value < PANDA.gripper.force.value <= 70.0
 
 
-def test_accelerations_are_the_published_ones():
+def test_accelerations_and_jerks_are_the_published_ones():
     assert [joint.acceleration.value for joint in PANDA.joints] == [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
+    assert [joint.jerk.value for joint in PANDA.joints] == [7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]

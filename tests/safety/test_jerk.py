@@ -4,51 +4,28 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import Bound
 from dualbrain.errors import InvalidSetup
 from dualbrain.safety.filter import SafetyFilter, Status
 from dualbrain.safety.result import Reason
 
 from . import oracle, scenes
 
-RATIO = 500.0
-"""Jerk limit over acceleration limit [1/s]: the full acceleration is reached in two periods."""
-
-
-@pytest.fixture(scope="module")
-def limited(small):
-    joints = tuple(
-        msgspec.structs.replace(joint, jerk=Bound(RATIO * joint.acceleration.value, "rad/s^3", "for this test"))
-        for joint in small.joints
-    )
-    return msgspec.structs.replace(small, joints=joints)
-
-
-@pytest.fixture(scope="module")
-def small():
-    from dualbrain.safety.barriers.trials import arm  # noqa: PLC0415  # a module-scoped twin of the fixture
-
-    return arm()
-
 
 def test_a_body_without_jerk_limits_says_so(small):
+    bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in small.joints)
     with pytest.raises(InvalidSetup, match="jerk"):
-        SafetyFilter(msgspec.structs.replace(small, joints=bare(small)), scenes.config(jerk_limits=True))
-
-
-def bare(body):
-    return tuple(msgspec.structs.replace(joint, jerk=None) for joint in body.joints)
+        SafetyFilter(msgspec.structs.replace(small, joints=bare), scenes.config(jerk_limits=True))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_jerk_stays_in_its_limit_under_an_adversary(limited, seed):
+def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
     rng = np.random.default_rng(seed)
-    things = scenes.scene(limited, rng, 8)
-    safety = SafetyFilter(limited, scenes.config(jerk_limits=True))
+    things = scenes.scene(small, rng, 8)
+    safety = SafetyFilter(small, scenes.config(jerk_limits=True))
     safety.observe(things)
-    v_max = np.array([joint.velocity.value for joint in limited.joints])
-    limit = np.array([joint.jerk.value for joint in limited.joints]) * limited.period**2
-    q, log, yielded, u, before = np.array(limited.home), [], 0, np.zeros(7), np.zeros(7)
+    v_max = np.array([joint.velocity.value for joint in small.joints])
+    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
+    q, log, yielded, u, before = np.array(small.home), [], 0, np.zeros(7), np.zeros(7)
     for tick in range(4000):
         if tick % 250 == 0:
             wish = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
@@ -59,16 +36,16 @@ def test_jerk_stays_in_its_limit_under_an_adversary(limited, seed):
         elif answer.status is not Status.RELAXED:
             assert np.all(jerk <= limit * (1 + 1e-3) + 2e-6)
         u, before = answer.u, u
-        q = q + limited.period * u
+        q = q + small.period * u
         log.append(q)
     assert yielded < 40
     log = np.array(log)
-    assert min(oracle.h_obstacles(limited, log, things).min(), oracle.h_self(limited, log).min()) >= 0.0
-    assert oracle.h_joints(limited, log).min() >= 0.0
+    assert min(oracle.h_obstacles(small, log, things).min(), oracle.h_self(small, log).min()) >= 0.0
+    assert oracle.h_joints(small, log).min() >= 0.0
 
 
-def test_without_the_box_jerk_is_larger(limited):
-    safety = SafetyFilter(limited, scenes.config())
-    limit = np.array([joint.jerk.value for joint in limited.joints]) * limited.period**2
-    first = safety(np.array(limited.home), np.zeros(7), np.full(7, 2.0)).u
+def test_without_the_box_jerk_is_larger(small):
+    safety = SafetyFilter(small, scenes.config())
+    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
+    first = safety(np.array(small.home), np.zeros(7), np.full(7, 2.0)).u
     assert np.any(np.abs(first) > 1.5 * limit)

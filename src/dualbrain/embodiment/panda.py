@@ -9,6 +9,7 @@ SOURCE = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_d
 LICENCE = "Apache-2.0"
 URDF = "panda.urdf"
 FCI = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
+FCI_JERK = "Franka FCI documentation, joint jerk limits (libfranka kMaxJointJerk)"
 
 ROOT_HALF = 0.7071067811865476
 TURN: dict[str, Quaternion] = {
@@ -31,6 +32,9 @@ JOINTS: tuple[tuple[Vector, str, float, float, float, float], ...] = (
     ((0.0, 0.0, 0.0), "plus", -0.0175, 3.7525, 2.61, 20.0),
     ((0.088, 0.0, 0.0), "plus", -2.8973, 2.8973, 2.61, 20.0),
 )
+
+JERK = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
+"""Joint jerk limits [rad/s³]."""
 
 HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
 PERIOD = 0.001
@@ -100,6 +104,7 @@ def joints() -> tuple[Joint, ...]:
                 Bound(upper, "rad", f"{entry} upper"),
                 Bound(velocity, "rad/s", f"{entry} velocity"),
                 Bound(acceleration, "rad/s^2", FCI),
+                Bound(JERK[i - 1], "rad/s^3", FCI_JERK),
             )
         )
     return tuple(made)
