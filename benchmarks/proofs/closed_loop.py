@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -14,7 +15,7 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.records import Judgement, Outcome
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.simulated import SimulatedWorld
@@ -61,14 +62,20 @@ def errand(**values: Any) -> list[dict[str, Any]]:
 
 
 def fly(
-    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, hold: float = 0.2, goal: Goal | None = ERRAND
-) -> Flight:
-    """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out, filter on."""
+    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, hold: float = 0.2, goal: Goal | None = ERRAND,
+    guard: bool = True, watch: Callable[[Moment], None] | None = None,
+) -> Flight:  # fmt: skip
+    """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out.
+
+    The filter is on unless `guard` is False; `watch` sees a moment now and then.
+    """
     body = panda()
     plant = Plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])), goal=goal)
     log = FlightLog(Trace(body.n))
-    layer = LocalLayer(body, plant, world, SafetyFilter(body), log, LayerConfig(), phase_changed=world.allow)
+    layer = LocalLayer(
+        body, plant, world, SafetyFilter(body), log, LayerConfig(guard=guard), watch=watch, phase_changed=world.allow
+    )
     layer.hold(hold)
     verdict = _gate(layer, actions)
     if isinstance(verdict, Rejected):
