@@ -1,0 +1,1 @@
+"""What the compiled kernel needs at worst: stack, memory, code, iterations, time."""

@@ -1,0 +1,119 @@
+"""Object files as the linker sees them: functions, what they refer to, stack sizes. ELF, little endian, 32 or 64."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+SYMTAB, RELA, REL = 2, 4, 9
+FUNCTION, SECTION = 2, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section: its bytes, and which other one it belongs to."""
+
+    name: str
+    kind: int
+    link: int
+    info: int
+    data: bytes
+
+
+@dataclass(slots=True)
+class Object:
+    """Functions with their code size, who refers to whom, and symbols that come from elsewhere."""
+
+    path: Path
+    code: dict[str, int] = field(default_factory=dict)
+    calls: dict[str, set[str]] = field(default_factory=dict)
+    undefined: set[str] = field(default_factory=set)
+    addresses_taken: set[str] = field(default_factory=set)
+    stack: dict[str, int] = field(default_factory=dict)
+
+
+def read(path: Path) -> Object:
+    """An object compiled with -ffunction-sections, so that each function is a section of its own."""
+    raw = path.read_bytes()
+    wide = raw[4] == 2
+    sections = _sections(raw, wide)
+    out = Object(path)
+    symbols = next((_symbols(s, sections[s.link], wide) for s in sections if s.kind == SYMTAB), [])
+    home = {i: _function(s.name) for i, s in enumerate(sections) if _function(s.name)}
+    for name, kind, section, size in symbols:
+        if section == 0 and name:
+            out.undefined.add(name)
+        elif kind == FUNCTION and section in home:
+            out.code[name] = size
+    for section in sections:
+        if section.kind in (REL, RELA):
+            _references(section, sections, symbols, home, wide, out)
+        elif section.name == ".stack_sizes" and section.link in home:
+            out.stack[home[section.link]] = _uleb(section.data[8 if wide else 4 :])
+    return out
+
+
+def _sections(raw: bytes, wide: bool) -> list[Section]:
+    if wide:
+        start, (size, count, names) = struct.unpack_from("<Q", raw, 40)[0], struct.unpack_from("<HHH", raw, 58)
+    else:
+        start, (size, count, names) = struct.unpack_from("<I", raw, 32)[0], struct.unpack_from("<HHH", raw, 46)
+    heads = [struct.unpack_from("<IIQQQQIIQQ" if wide else "<10I", raw, start + i * size) for i in range(count)]
+    text = raw[heads[names][4] : heads[names][4] + heads[names][5]]
+    return [Section(_string(text, h[0]), h[1], h[6], h[7], raw[h[4] : h[4] + h[5] * (h[1] != 8)]) for h in heads]
+
+
+def _symbols(section: Section, strings: Section, wide: bool) -> list[tuple[str, int, int, int]]:
+    out = []
+    for entry in struct.iter_unpack("<IBBHQQ" if wide else "<IIIBBH", section.data):
+        name, info, home, size = (
+            (entry[0], entry[1], entry[3], entry[5]) if wide else (entry[0], entry[3], entry[5], entry[2])
+        )
+        out.append((_string(strings.data, name), info & 15, home, size))
+    return out
+
+
+def _references(
+    section: Section, sections: list[Section], symbols: list[tuple[str, int, int, int]], home: dict[int, str],
+    wide: bool, out: Object,
+) -> None:  # fmt: skip
+    """A function that refers to a function calls it; other data that refers to one takes its address."""
+    layout = {(True, RELA): "<QQq", (True, REL): "<QQ", (False, RELA): "<IIi", (False, REL): "<II"}[wide, section.kind]
+    caller, source = home.get(section.info), sections[section.info].name
+    for entry in struct.iter_unpack(layout, section.data):
+        name, kind, where, _ = symbols[entry[1] >> (32 if wide else 8)]
+        target = home.get(where) if where else name
+        if not target or kind not in (FUNCTION, SECTION, 0):
+            continue
+        if caller is not None:
+            out.calls.setdefault(caller, set()).add(target)
+        elif not source.startswith((".eh_frame", ".stack_sizes", ".debug", ".ARM")):
+            out.addresses_taken.add(target)
+
+
+def _function(name: str) -> str:
+    """The function whose section this is, without the number that a compiler gives to its copies; "" for others."""
+    for start in (".text.unlikely.", ".text."):
+        if name.startswith(start):
+            return plain(name.removeprefix(start))
+    return ""
+
+
+def plain(name: str) -> str:
+    """`constraint.isra.0` -> `constraint.isra`: as the compiler's own stack report has it."""
+    head, _, tail = name.rpartition(".")
+    return head if tail.isdigit() else name
+
+
+def _string(data: bytes, at: int) -> str:
+    return data[at : data.index(b"\0", at)].decode()
+
+
+def _uleb(data: bytes) -> int:
+    value = 0
+    for shift, byte in enumerate(data):
+        value |= (byte & 127) << (7 * shift)
+        if byte < 128:
+            break
+    return value

@@ -1,0 +1,135 @@
+"""Adversarial closed loops and a search for the worst moment: QP iterations, rows, and processor time of one step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body, load_body
+from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety import _kernel
+from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+
+Array = NDArray[np.float64]
+AT_ONCE = (8, 20, 47)
+"""Things around the arm; the table is one more."""
+
+
+@dataclass(slots=True)
+class Moment:
+    """What one step started from, and what it needed."""
+
+    scene: int
+    q: Array
+    u_prev: Array
+    u_nom: Array
+    iterations: int
+    rows: int
+    seconds: float
+
+
+def crowd(rng: np.random.Generator, count: int, *, moving: bool) -> list[Obstacle]:
+    """A table and `count` spheres, capsules and boxes where the arm works; they may touch it."""
+    things = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
+    for k in range(count):
+        turn, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 0.85)
+        quaternion = rng.normal(size=4)
+        pose = Pose((float(reach * np.cos(turn)), float(reach * np.sin(turn)), float(rng.uniform(0.05, 0.9))),
+                    tuple((quaternion / np.linalg.norm(quaternion)).tolist()))  # fmt: skip
+        size = rng.uniform(0.02, 0.08, 3).tolist()
+        shape = (Sphere(size[0]), Capsule(size[0], size[1]), Box(tuple(size)))[int(rng.integers(3))]
+        velocity = tuple(rng.uniform(-0.2, 0.2, 3).tolist()) if moving else (0.0, 0.0, 0.0)
+        things.append(Obstacle(f"o{k}", shape, pose, velocity, static=not moving))
+    return things
+
+
+def make(body: Body, seed: int) -> SafetyFilter:
+    """The filter of scene `seed`: as shipped, states at rest."""
+    rng = np.random.default_rng(seed)
+    count, moving = AT_ONCE[seed % len(AT_ONCE)], seed % 2 == 1
+    safety = SafetyFilter(body, FilterConfig())
+    safety.observe(crowd(rng, count, moving=moving), 0.0)
+    return safety
+
+
+def loop(body: Body, seed: int, steps: int) -> Iterator[Moment]:
+    """Bang-bang, or straight at the row with the smallest h; a twin filter is timed in C on the same inputs.
+
+    The scene stands still for the loop (velocities enter the rows), so that both see the same at every step.
+    """
+    safety, twin, rng = make(body, seed), make(body, seed), np.random.default_rng(seed + 10_000)
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    q, u, u_nom, u_prev = np.array(body.home), np.empty(body.n), np.zeros(body.n), np.zeros(body.n)
+    rest, hold = np.zeros(body.n), (20, 150, 400)[seed % 3]
+    for step in range(steps):
+        if step % hold == 0:
+            u_nom = v_max * rng.choice([-1.0, 1.0], body.n)
+            rows = safety._kernel.rows() if rng.random() < 0.7 else []
+            if rows:
+                u_nom = -v_max * np.sign(np.array(min(rows, key=lambda row: row[3])[6]))
+        if step % 2000 == 0:
+            q = np.array(body.home) + rng.uniform(-0.3, 0.3, body.n)
+        answer = safety._kernel.step(q, rest, u_nom, 0.0, 0.0, 0.0, u)
+        seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
+        yield Moment(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer[7], answer[8], seconds)
+        u_prev = u.copy()
+        q = q + body.period * u
+
+
+def again(safety: SafetyFilter, m: Moment, *, times: int = 1) -> Moment:
+    """The same step without a warm start; the least of `times` times, so that a busy machine does not count."""
+    u, rest, least = np.empty(len(m.q)), np.zeros(len(m.q)), np.inf
+    safety.reset(m.u_prev)
+    answer = safety._kernel.step(m.q, rest, m.u_nom, 0.0, 0.0, 0.0, u)
+    for _ in range(times):
+        safety.reset(m.u_prev)
+        least = min(least, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
+    return Moment(m.scene, m.q, m.u_prev, m.u_nom, answer[7], answer[8], least)
+
+
+def search(body: Body, start: list[Moment], rng: np.random.Generator, tries: int) -> Moment:
+    """Random changes of posture, last control and wish that need more iterations (then more rows) are kept."""
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    best: Moment | None = None
+    for first in start:
+        safety = make(body, first.scene)
+        here = again(safety, first)
+        for k in range(tries):
+            size = (0.3, 0.1, 0.02)[k % 3]
+            there = again(safety, Moment(
+                first.scene, here.q + size * rng.normal(size=body.n),
+                np.clip(here.u_prev + size * v_max * rng.normal(size=body.n), -v_max, v_max),
+                np.clip(here.u_nom + size * v_max * rng.normal(size=body.n), -v_max, v_max), 0, 0, 0.0,
+            ))  # fmt: skip
+            if (there.iterations, there.rows) >= (here.iterations, here.rows):
+                here = there
+        if best is None or (here.iterations, here.rows) > (best.iterations, best.rows):
+            best = again(safety, here, times=50)
+    if best is None:
+        raise AssertionError("a search starts somewhere")
+    return best
+
+
+def worst_program(rng: np.random.Generator, tries: int, n: int = 8) -> tuple[int, int]:
+    """Most iterations (and their rows) over random QPs, the worst of which are changed at random and tried again."""
+    best, at = (0, 0), None
+    scale, u = np.eye(n), np.empty(n)
+    for k in range(tries):
+        if at is None or k % 3 == 0:
+            m = int(rng.integers(2, 200))
+            A, b, u_nom = rng.normal(size=(m, n)), rng.uniform(-1.0, 0.2, m), rng.uniform(-3.0, 3.0, n)
+            A = A[:, :2] @ rng.normal(size=(2, n)) + 1e-3 * A if k % 4 == 0 else A
+        else:
+            A, b, u_nom = (x + 0.1 * rng.normal(size=x.shape) for x in at)
+        result, iterations, _ = _kernel.solve_qp(scale, np.ascontiguousarray(A), b, -np.ones(n), np.ones(n), u_nom, u)
+        if iterations >= best[0] or result == 2:
+            best, at = (iterations, len(b)), (A, b, u_nom)
+    return best
+
+
+def panda() -> Body:
+    """The body that the figures are for."""
+    return load_body("panda")
