@@ -95,7 +95,7 @@ def _first(whole: dict[str, Any]) -> str:
 
 
 def _seconds(one: dict[str, Any]) -> str:
-    return f"{one['prepare_s'] + one['first_s']:.3g} ({one['processor_s']:.3g})"
+    return f"{one['processor_s']:.2g} ({one['prepare_s'] + one['first_s']:.2g})"
 
 
 def _deviation(whole: dict[str, Any]) -> str:

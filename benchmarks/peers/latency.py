@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,14 +27,20 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How long to measure: recorded steps, rounds, steps of a block, most seconds of a block, states for deviation."""
+    """How long to measure: recorded steps, rounds, steps of a block, most seconds of a block, states for deviation.
+
+    Who has spent `contestant_s` sits the remaining rounds out. `at_once` contestants are prepared together, as
+    compiling takes long; then each runs alone, in turn.
+    """
 
     steps: int = 1200
     rounds: int = 20
     block: int = 40
     block_s: float = 0.25
     checked: int = 40
-    patience_s: float = 150.0
+    contestant_s: float = 20.0
+    patience_s: float = 200.0
+    at_once: int = 3
 
 
 QUICK = Effort(steps=60, rounds=2, block=10, checked=3, patience_s=20.0)
@@ -50,7 +58,9 @@ def measure(setting: str, n: int, contestants: Sequence[Contestant], effort: Eff
         files = {"problem": str(Path(folder) / "problem.npz"), "states": str(Path(folder) / "states.npz")}
         problem.save(files["problem"])
         np.savez(files["states"], states=states, nominals=nominals)
-        children = [child for c in contestants if (child := _start(c, files, effort, result)) is not None]
+        with ThreadPoolExecutor(effort.at_once) as pool:
+            started = pool.map(lambda contestant: _start(contestant, files, effort, result), contestants)
+            children = [child for child in started if child is not None]
         try:
             result["rows"] = _rows(_alternate(children, len(states), effort, result), children, result)
             if setting == "rows":
@@ -92,18 +102,23 @@ def _start(contestant: Contestant, files: dict[str, str], effort: Effort, result
 def _alternate(children: list[Child], steps: int, effort: Effort, result: dict[str, Any]) -> dict[str, list[int]]:
     """Times [ns] of every contestant, block by block in turn; slow ones take shorter blocks of the same states."""
     times: dict[str, list[int]] = {child.contestant.name: [] for child in children}
-    lengths = {name: 2 for name in times}
-    failed = dict.fromkeys(times, 0)
+    lengths = {name: 1 for name in times}
+    failed, spent = dict.fromkeys(times, 0), dict.fromkeys(times, 0.0)
     for turn in range(-1, effort.rounds):
         start = WARM + max(0, turn) * effort.block % max(1, steps - effort.block - WARM)
         shift = max(0, turn) % len(children) if children else 0
         for child in [*children[shift:], *children[:shift]]:
             name = child.contestant.name
-            answer = child.ask("block", start=start, stop=start + lengths[name], warm=WARM)
+            if spent[name] > effort.contestant_s:
+                continue
+            begin = time.monotonic()
+            warm = 0 if turn < 0 or lengths[name] < WARM else WARM
+            answer = child.ask("block", start=start, stop=start + lengths[name], warm=warm)
             if turn < 0:  # finds out how long a block may be
                 pace = 1e-9 * float(np.median(answer["ns"]))
                 lengths[name] = int(np.clip(effort.block_s / max(pace, 1e-9), 1, effort.block))
             else:
+                spent[name] += time.monotonic() - begin
                 times[name] += answer["ns"]
                 failed[name] += answer["failed"]
     result["failed"] = failed
