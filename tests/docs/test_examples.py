@@ -44,6 +44,30 @@ def test_a_given_contract_becomes_motion():
     assert "simulator truth: success, 0 violations" in text
 
 
+def test_the_filter_alone_keeps_a_careless_controller_from_crate_and_ball():
+    lines = told("04_filter_alone").splitlines()
+    gaps = [float(line.split(" h ")[1].split("mm")[0]) for line in lines]
+    assert min(gaps) >= 0.0
+    assert all("go on" in line for line in lines)
+    assert any("'crate'" in line for line in lines)
+    assert any("'ball'" in line for line in lines)
+
+
+def test_what_was_observed_is_prevented_when_the_filter_is_switched_on():
+    text = told("09_observe_mode")
+    assert "2 episodes" in text
+    assert text.count("hand vs 'post'") == 2
+    assert float(text.split("Least h")[1].split("mm")[0]) < 0.0
+    assert float(text.split("nothing nearer than")[1].split("mm")[0]) > 0.0
+
+
+def test_a_policy_behind_the_filter_stays_off_the_shelf():
+    watched, filtered = told("10_gym_policy").splitlines()
+    assert float(watched.split("least h")[1].split("mm")[0]) < -10.0
+    assert float(filtered.split("least h")[1].split("mm")[0]) >= 0.0
+    assert "'shelf'" in filtered
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short(path):
     assert len(path.read_text("utf-8").splitlines()) < 100

@@ -236,9 +236,8 @@ def test_the_file_holds_one_line_for_each_episode(tmp_path):
 
 def test_a_torn_line_is_not_read_and_is_cut_off(tmp_path):
     path = tmp_path / "episodes.jsonl"
-    file = EpisodeFile(path)
-    file(EPISODE)
-    file.close()
+    with EpisodeFile(path) as file:
+        file(EPISODE)
     whole = path.read_bytes()
     path.write_bytes(whole + whole[:40])
     assert read_episodes(path) == (EPISODE,)

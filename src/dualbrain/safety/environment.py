@@ -53,10 +53,11 @@ class FilteredEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     wrong dynamics break that; nothing is said about forces. With exact tracking there is no lag: turn off
     `lag_compensation`.
 
-    `info` of each step tells `cost` (delta), `h_min` [m] before the action, `status` (its name), `safety` (a sentence)
-    and `applied`, the action that the environment got; of an action that is held: the mean cost, the least h, the worst
-    status and what was said of the largest change. With a `Shadow` in place of the filter the action passes untouched,
-    and `info` tells what would have been.
+    `info` of each step tells `cost` (delta) and its part `cost_rows` (the rest: the action jumped more than the joints
+    can), `h_min` [m] before the action, `status` (its name), `safety` (a sentence) and `applied`, the action that the
+    environment got; of an action that is held: the mean costs, the least h, the worst status and what was said of the
+    largest change. With a `Shadow` in place of the filter the action passes untouched, and `info` tells what would have
+    been.
     """
 
     def __init__(
@@ -195,6 +196,7 @@ def _told(answers: Sequence[Filtered]) -> dict[str, Any]:
     """What `info` says of the answers to one action."""
     return {
         "cost": sum(answer.delta for answer in answers) / len(answers),
+        "cost_rows": sum(answer.delta_rows for answer in answers) / len(answers),
         "h_min": min(answer.h_min for answer in answers),
         "status": max(answer.status for answer in answers).name,
         "safety": max(answers, key=lambda answer: answer.delta).explain(),

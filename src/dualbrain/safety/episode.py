@@ -86,6 +86,12 @@ class EpisodeFile:
         """Close the file."""
         self._file.close()
 
+    def __enter__(self) -> EpisodeFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
 
 def read_episodes(path: Path) -> tuple[Episode, ...]:
     """Every whole line of a file of episodes, also of one that is still being written."""

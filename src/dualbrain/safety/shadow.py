@@ -23,7 +23,7 @@ DEAD_BAND = 1e-4
 """A delta up to this is the kernel's rounding and counts as unchanged."""
 PAUSE = 0.1
 """After this long [s] without a call the last command is no longer what the robot does."""
-REFUSED = Reason.BAD_INPUT | Reason.STALE_STATE | Reason.STALE_SCENE | Reason.OUTSIDE_LIMITS | Reason.BAD_SCENE
+REFUSED = int(Reason.BAD_INPUT | Reason.STALE_STATE | Reason.STALE_SCENE | Reason.OUTSIDE_LIMITS | Reason.BAD_SCENE)
 """Reasons for which the kernel looks at no distance: `h_min` then says nothing."""
 
 
@@ -77,7 +77,9 @@ class Summary(msgspec.Struct, frozen=True):
             near = f" ({self.least.nearest})" if self.least.nearest else ""
             words.append(f"Least h {self.least.h_min * 1e3:.1f} mm at {self.least.now:.3f} s{near}.")
         if self.largest:
-            words.append(f"Largest change {self.largest.delta:.1%} of full speed at {self.largest.now:.3f} s.")
+            words.append(
+                f"Largest change in one period {self.largest.delta:.1%} of full speed at {self.largest.now:.3f} s."
+            )
         if self.refused:
             words.append(f"{self.refused} ticks had an input that the filter stops at: mend this first.")
         if self.late:
@@ -92,7 +94,10 @@ class Shadow:
 
     Each tick is judged by itself: the filter's last control is what the robot was truly commanded, never the filter's
     own answer, which nobody applied. What it tells is therefore "this command, now, would have become that one"; it is
-    not the motion that would have followed, because the first change would have led to other states.
+    not the motion that would have followed, because the first change would have led to other states. Two things follow.
+    A delta is at most what acceleration limits allow in one period: how long an episode lasts and how small h gets say
+    more than its peak. And a controller that is already faster than a row allows cannot be brought back within one
+    period: such ticks are RELAXED, where a filter in charge would have slowed it down in time.
 
     Memory is bounded: sums, the last `keep` ticks (`recent`), and the open episode.
     """
@@ -174,11 +179,12 @@ class Shadow:
         if u_prev is None:
             fresh = now - self._now <= max(PAUSE, 2.0 * self.safety.body.period)
             u_prev = self._u_prev if fresh and self._u_prev is not None else v
-        known = np.where(np.isfinite(u_prev), u_prev, np.where(np.isfinite(v), v, 0.0))
-        return np.clip(known, -self._v_max, self._v_max)
+        if not np.isfinite(u_prev).all():
+            u_prev = np.where(np.isfinite(u_prev), u_prev, np.where(np.isfinite(v), v, 0.0))
+        return np.minimum(np.maximum(u_prev, -self._v_max), self._v_max)
 
     def _count(self, answer: Filtered, now: float, u_prev: Array) -> None:
-        refused = bool(answer.reason & REFUSED)
+        refused = answer.flags & REFUSED != 0
         changed = answer.delta > self._dead_band or answer.status > Status.MODIFIED
         deepest = not refused and answer.h_min < self._h_min
         nearest = self._nearest(answer.names) if (changed or deepest) and not refused else ""

@@ -1,0 +1,60 @@
+"""The filter in front of a controller of your own: five lines that matter, and what to do with the answer.
+
+Run: `python examples/04_filter_alone.py`. Needs no simulator: the arm is a first-order lag behind its velocity command.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.records import Box, HalfSpace, Pose, Sphere
+from dualbrain.safety.filter import Filtered, Obstacle, SafetyFilter, Status
+
+Array = NDArray[np.float64]
+
+
+def my_controller(q: Array, now: float) -> Array:
+    """Somebody's joint-space controller [rad/s]: to the right and back, without an eye for what stands there."""
+    goal = np.array([0.9 * np.sin(1.2 * now), -0.1, 0.0, -2.0, 0.0, 2.0, 0.785])
+    return np.clip(3.0 * (goal - q), -1.5, 1.5)
+
+
+def what_to_do(answer: Filtered) -> str:
+    """The answer's u may be written in every case: it is finite and within all limits of the joints."""
+    match answer.status:
+        case Status.SAFE | Status.MODIFIED:
+            return "go on"
+        case Status.RELAXED:
+            return "braking; end the task if it lasts 50 ms"
+        case Status.STOPPED:
+            return "braking; mend the input"
+        case Status.FAULT:
+            return "stop the drive"
+
+
+def main() -> None:
+    """Drive for four seconds between a crate that stands still and a ball that flies by."""
+    body = load_body("panda")  # 1
+    safety = SafetyFilter(body)  # 2
+    table = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+    crate = Obstacle("crate", Box((0.1, 0.1, 0.2)), Pose((0.45, 0.42, 0.2)), margin=0.01)
+
+    q, v, dt, told = np.array(body.home), np.zeros(body.n), body.period, ""
+    for tick in range(4000):
+        now = tick * dt
+        if tick % 33 == 0:  # a camera at 30 Hz; velocity and its error bound let the filter look ahead in between
+            place = (0.95 - 0.15 * now, -0.35, 0.45)
+            ball = Obstacle("ball", Sphere(0.06), Pose(place), (-0.15, 0.0, 0.0), velocity_error=0.02, static=False)
+            safety.observe([table, crate, ball], stamp=now)  # 3
+        answer = safety(q, v, my_controller(q, now), now, opening=0.0)  # 4
+        if (words := f"{answer.status.name}, {what_to_do(answer)}") != told or tick % 500 == 0:
+            told = words
+            print(f"{now:5.3f} s  h {answer.h_min * 1e3:5.1f} mm  {words}: {answer.explain()}")  # 5
+        v = v + (answer.u - v) * dt / body.tracking.lag
+        q = q + dt * v
+
+
+if __name__ == "__main__":
+    main()
