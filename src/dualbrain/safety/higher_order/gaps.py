@@ -77,11 +77,12 @@ class Boxes:
         """Gaps of `points` (m, k, 3), relative to the centres, that move at `w` (m, k, 3)."""
         local, local_w = points @ self._turn, w @ self._turn
         beyond = np.abs(local) - self._half
-        out, inside = np.maximum(beyond, 0.0), np.all(beyond <= 0.0, axis=-1)
-        nearest = beyond == np.max(beyond, axis=-1, keepdims=True)
+        deepest: Array = np.max(beyond, axis=-1)
+        out, inside = np.maximum(beyond, 0.0), deepest <= 0.0
+        nearest = beyond == deepest[..., None]
         offset = np.where(inside[..., None], nearest, out) * np.where(local < 0.0, -1.0, 1.0)
         size = np.sqrt(np.sum(offset**2, axis=-1))
-        d = np.where(inside, np.max(beyond, axis=-1), size)
+        d = np.where(inside, deepest, size)
         n = offset / np.maximum(size, NEAR)[..., None]
         moving = np.sum((out > 0.0) * local_w**2, axis=-1)
         bends = np.maximum(d, NEAR)

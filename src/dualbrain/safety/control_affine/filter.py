@@ -1,0 +1,117 @@
+"""A safety filter for any control-affine system: rows from its barriers, the kernel's QP, an answer with reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.closest import Closest, ClosestControl
+from dualbrain.safety.control_affine.answer import FilteredControl
+from dualbrain.safety.control_affine.rows import CompiledRows
+from dualbrain.safety.control_affine.system import Barrier, ControlAffine
+from dualbrain.safety.result import Reason, Status
+from dualbrain.safety.rows import Rank
+
+Array = NDArray[np.float64]
+UNLIMITED = 1e9
+"""What an infinite bound becomes, in units of its control."""
+
+
+class ControlAffineFilter:
+    """Closest safe control of ẋ = f(x) + g(x) u: min ½‖u − u_nom‖²_R s.t. one row for every barrier, u in the box.
+
+    Promise (Xiao and Belta, CDC 2019): if every ψ_i, i < r, is at least 0 at the start, the system moves exactly as
+    written, without disturbance, and every state is answered `certified` at once, then every h stays at least 0. It
+    says nothing of states where the rows conflict with the box or with each other (RELAXED), nor of a singular state,
+    where L_g L_f^{r−1} h = 0 and the row cannot be acted upon. A control that is held for a period dt loses what
+    ψ_{r−1} can curve within it: with α_r dt ≤ 1 a `margin` of dt/2 · max |d²ψ_{r−1}/dt²| covers that.
+
+    Where rows conflict they are given up by rank, as little as possible; none is met worse than `fallback` meets it.
+    """
+
+    def __init__(
+        self, system: ControlAffine, barriers: Sequence[Barrier], lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf, *, weight: Array | None = None, fallback: ArrayLike = 0.0,
+        domain: tuple[ArrayLike, ArrayLike] = (-1.0, 1.0),
+    ) -> None:  # fmt: skip
+        """`lower` and `upper` (m,) are the box, `weight` is R (m, m), by default diag(1/half range²).
+
+        `fallback` (m,) is the control of last resort (braking). `domain` are bounds (n,) between which relative degrees
+        are tested.
+        """
+        self.system, self.barriers = system, tuple(barriers)
+        self._names = tuple(barrier.name for barrier in self.barriers)
+        if not self.barriers or len(set(self._names)) < len(self._names):
+            raise InvalidSetup("barriers", got=self._names, allowed="one or more, each with its own name")
+        low, high = _sized(lower, system.m, "lower"), _sized(upper, system.m, "upper")
+        if not np.all(low <= high):
+            raise InvalidSetup("box of the controls", got=(low.tolist(), high.tolist()), allowed="lower ≤ upper")
+        half = 0.5 * (high - low)
+        self._unit = np.where(np.isfinite(half) & (half > 0.0), half, 1.0)
+        self._closest = ClosestControl(self._unit, weight)
+        limit = UNLIMITED * self._unit
+        self._lower, self._upper = np.maximum(low, -limit), np.minimum(high, limit)
+        self._fallback = np.clip(_sized(fallback, system.m, "fallback"), self._lower, self._upper)
+        edges = (_sized(domain[0], system.n, "domain"), _sized(domain[1], system.n, "domain"))
+        self._rows = CompiledRows(system, self.barriers, edges)
+        self._ranks = np.array([int(barrier.rank) for barrier in self.barriers], np.int64)
+        self._ends = np.cumsum(self._rows.degrees)[:-1]
+
+    @property
+    def relative_degrees(self) -> tuple[int, ...]:
+        """The relative degree of every barrier."""
+        return self._rows.degrees
+
+    def rows(self, x: Array) -> tuple[Array, Array]:
+        """A (k, m) and b (k,) of the rows A u ≥ b at the state x (n,)."""
+        A, b, _ = self._rows.at(x)
+        return A, b
+
+    def __call__(self, x: ArrayLike, u_nom: ArrayLike) -> FilteredControl:
+        """The control for the state x (n,), nearest to u_nom (m,)."""
+        state, wish = _sized(x, self.system.n, "state x"), _sized(u_nom, self.system.m, "u_nom")
+        A, b, psi = self._rows.at(state)
+        if not (np.isfinite(state).all() and np.isfinite(wish).all() and _finite(A, b, psi)):
+            return self._told(self._fallback, wish, Status.STOPPED, Reason.BAD_INPUT)
+        chains = tuple(tuple(map(float, chain)) for chain in np.split(psi, self._ends))
+        limit = UNLIMITED * self._unit
+        found = self._closest.solve(A, b, self._lower, self._upper, np.clip(wish, -limit, limit))
+        if found.met:
+            status = Status.SAFE if np.array_equal(found.u, wish) else Status.MODIFIED
+            return self._told(found.u, wish, status, Reason(0), chains, found)
+        size = np.maximum(np.abs(A) @ self._unit, 1e-9)
+        least, lost = self._closest.least_violation(A, b, self._ranks, size, self._lower, self._upper, self._fallback)
+        if not least.met:
+            return self._told(self._fallback, wish, Status.STOPPED, Reason.QP_ITERATIONS, chains, found)
+        reason = Reason.QP_ITERATIONS if found.capped else Reason.INFEASIBLE
+        return self._told(least.u, wish, Status.RELAXED, reason, chains, found, lost)
+
+    def _told(
+        self, u: Array, wish: Array, status: Status, reason: Reason,
+        psi: tuple[tuple[float, ...], ...] = (), found: Closest | None = None, lost: tuple[int, ...] = (),
+    ) -> FilteredControl:  # fmt: skip
+        apart = (u - np.clip(np.nan_to_num(wish), -1e12, 1e12)) / self._unit
+        return FilteredControl(
+            u, wish, status, self._names, reason, float(np.sqrt(np.mean(apart**2))), psi,
+            self._active(found.active) if found else (), tuple(Rank(rank) for rank in lost),
+            found.iterations if found else 0,
+        )  # fmt: skip
+
+    def _active(self, active: tuple[tuple[int, float], ...]) -> tuple[tuple[str, float], ...]:
+        m = self.system.m
+        names = [f"u[{k}] {side}" for side in ("lower", "upper") for k in range(m)]
+        return tuple(((*names, *self._names)[index], weight) for index, weight in active)
+
+
+def _sized(value: ArrayLike, n: int, what: str) -> Array:
+    array = np.asarray(value, float)
+    if array.shape not in ((), (n,)):
+        raise InvalidSetup(f"size of {what}", got=array.shape, allowed=f"{n} numbers, or one for all")
+    return np.array(np.broadcast_to(array, (n,)))
+
+
+def _finite(*arrays: Array) -> bool:
+    return all(bool(np.isfinite(array).all()) for array in arrays)

@@ -1,0 +1,58 @@
+"""From barriers to rows: the ψ of every order, Lie derivatives, and one compiled function for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.safety.control_affine.degree import relative_degree, scalar
+from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, casadi
+
+Array = NDArray[np.float64]
+
+
+class CompiledRows:
+    """Rows A u ≥ b of k barriers at a state, by CasADi's virtual machine without a copy.
+
+    ψ_0 = h, ψ_i = L_f ψ_{i−1} + α_i(ψ_{i−1}) for i < r, and the row
+    L_g ψ_{r−1} u ≥ −L_f ψ_{r−1} − α_r(ψ_{r−1}) + margin (Xiao and Belta, CDC 2019).
+    """
+
+    def __init__(self, system: ControlAffine, barriers: Sequence[Barrier], domain: tuple[Array, Array]) -> None:
+        """Find every relative degree, derive the rows and compile them."""
+        ca = casadi()
+        self.degrees = tuple(relative_degree(system, barrier, domain) for barrier in barriers)
+        derived = [derive(system, barrier, r) for barrier, r in zip(barriers, self.degrees, strict=True)]
+        psi = ca.vertcat(*(p for chain, _, _ in derived for p in chain))
+        A, b = ca.vertcat(*(a for _, a, _ in derived)), ca.vertcat(*(b for _, _, b in derived))
+        self._function = system.function("barriers", [A, b, psi])
+        self._x = np.zeros(system.n)
+        self._A, self._b = np.zeros((system.m, len(barriers))), np.zeros(len(barriers))
+        self._psi = np.zeros(sum(self.degrees))
+        self._buffer, self._evaluate = self._function.buffer()
+        self._buffer.set_arg(0, memoryview(self._x.data))
+        for place, array in enumerate((self._A, self._b, self._psi)):
+            self._buffer.set_res(place, memoryview(array.data))
+
+    def at(self, x: Array) -> tuple[Array, Array, Array]:
+        """A (k, m), b (k,) and the ψ of all barriers, ψ_0 to ψ_{r−1} of each in turn, at the state x (n,)."""
+        self._x[:] = x
+        self._evaluate()
+        return np.ascontiguousarray(self._A.T), self._b.copy(), self._psi.copy()
+
+
+def derive(system: ControlAffine, barrier: Barrier, degree: int) -> tuple[list[Expression], Expression, Expression]:
+    """The chain ψ_0..ψ_{r−1}, and the row (1, m) and bound of a barrier of relative degree r."""
+    ca = casadi()
+    chain = [scalar(system, barrier)]
+    for order in range(1, degree + 1):
+        psi, alpha = chain[-1], barrier.alpha(order, degree)
+        gradient = ca.jacobian(psi, system.x)
+        drift = ca.mtimes(gradient, system.f) + (alpha(psi) if callable(alpha) else alpha * psi)
+        if order < degree:
+            chain.append(drift)
+        else:
+            return chain, ca.mtimes(gradient, system.g), barrier.margin - drift
+    raise AssertionError("a relative degree is at least 1")
