@@ -31,7 +31,7 @@ def what_to_do(answer: Filtered) -> str:
         case Status.STOPPED:
             return "braking; mend the input"
         case Status.FAULT:
-            return "stop the drive"
+            return "braking; cut the drive if it lasts 50 ms"
 
 
 def main() -> None:

@@ -17,8 +17,8 @@ def driven(body: Body, *, period: float | None = None, speed: float | Sequence[f
     """`body` under a controller with a `period` [s] and joint velocities up to `speed` [rad/s], one or one a joint.
 
     The filter must be called once in each period, and its answer must reach the joints unclipped: a limit that the
-    drive has and the filter does not know of breaks its promise. Up to 5 ms there is room for every row of an arm at
-    full speed; at 10 ms it may be stopped now and then (`Reason.ROW_OVERFLOW`).
+    drive has and the filter does not know of breaks its promise. Up to 4 ms there is room for every row of an arm at
+    full speed; beyond, it may be stopped now and then (`Reason.ROW_OVERFLOW`).
 
     Raises:
         InvalidSetup: the period is not within (0, 0.01], or a speed not above 0 and within the body's own limit.
