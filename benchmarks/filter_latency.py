@@ -23,7 +23,7 @@ from typing import Any
 
 from peers import latency, trials
 from peers.bars import bars
-from peers.contestants import CONTESTANTS, QUICK
+from peers.contestants import CONTESTANTS, OWN, QUICK
 from peers.document import write
 from peers.scenes import PRIMITIVES, ROWS
 from peers.setup_environments import ENVIRONMENTS
@@ -47,10 +47,11 @@ def units(*, quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
     everybody = {f"rows:{n}": lambda n=n: latency.measure("rows", n, CONTESTANTS, full) for n in ROWS}
     able = [c for c in CONTESTANTS if c.primitives]
     everybody |= {f"primitives:{n}": lambda n=n: latency.measure("primitives", n, able, full) for n in PRIMITIVES}
-    some = [c for c in CONTESTANTS if c.gains]
+    one_each = [c for c in able if not c.ours or c.name == OWN]
+    driven = [c for c in CONTESTANTS if c.gains]
     return everybody | {
-        "infeasible": lambda: {"infeasible": trials.infeasible(some)},
-        "clearance": lambda: {"clearance": trials.clearance(some)},
+        "infeasible": lambda: {"infeasible": trials.infeasible(one_each)},
+        "clearance": lambda: {"clearance": trials.clearance(driven)},
     }
 
 

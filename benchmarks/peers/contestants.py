@@ -67,7 +67,7 @@ CONTESTANTS = (
     _cbfpy(OLD, "oscbf", "default"),
     _cbfpy(OLD, "oscbf", "hard"),
     _cbfpy(OLD, "plain", "default", primitives=True, gains=BOTH),
-    _cbfpy(OLD, "plain", "hard", primitives=True, gains=BOTH),
+    _cbfpy(OLD, "plain", "hard", primitives=True),
     _cbfpy(NEW, "frax", "default"),
     _cbfpy(NEW, "frax", "hard"),
     _cbfpy(NEW, "frax", "elastiqp", primitives=True, gains=BOTH),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from peers.oracle import optimum
 from peers.problem import SPHERE, Problem, box, centres, rows
 
 LIMITS_PAIRS = 50
+AT_ONCE = 3
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -66,11 +69,11 @@ def _feasible(problem: Problem, q: np.ndarray, u_nom: np.ndarray) -> bool | None
 def infeasible(contestants: Sequence[Contestant]) -> list[dict[str, Any]]:
     """One record for each contestant and case: what came back, and whether anything said so."""
     problem, cases = squeezed()
-    return [
-        _verdict(contestant, problem, case, child.ask("once", q=case.q, u_nom=case.u_nom))
-        for contestant, child in _prepared(contestants, problem)
-        for case in cases
-    ]
+
+    def ask(contestant: Contestant, child: Child) -> list[dict[str, Any]]:
+        return [_verdict(contestant, problem, case, child.ask("once", q=case.q, u_nom=case.u_nom)) for case in cases]
+
+    return [one for found in _with_each(contestants, problem, ask) for one in found]
 
 
 def _verdict(contestant: Contestant, problem: Problem, case: Case, answer: dict[str, Any]) -> dict[str, Any]:
@@ -88,44 +91,51 @@ def _verdict(contestant: Contestant, problem: Problem, case: Case, answer: dict[
 def clearance(contestants: Sequence[Contestant], *, steps: int = 3000, seeds: int = 2) -> list[dict[str, Any]]:
     """Least true h [m] of the closed loop with Panda's a_max, for every contestant at its gains."""
     problem = scenes.rows_problem(LIMITS_PAIRS)
-    found = []
-    for contestant in contestants:
-        for gain in contestant.gains:
-            options = contestant.options | {"limited": True} | ({} if gain is None else {"alpha": gain})
-            chosen = dataclasses.replace(contestant, options=options)
-            for _, child in _prepared([chosen], problem):
-                runs = [child.ask("loop", 600.0, steps=steps, seed=seed) for seed in range(seeds)]
-                flags: dict[str, int] = {}
-                for run in runs:
-                    for word, count in run["flags"].items():
-                        flags[word] = flags.get(word, 0) + count
-                found.append({
-                    "peer": contestant.name, "alpha": problem.alpha if gain is None else gain,
-                    "h_min": min(run["h_min"] for run in runs), "steps": steps * seeds,
-                    "no_answer": sum(run["failed"] for run in runs),
-                    "followed_share": float(np.mean([run["followed_share"] for run in runs])), "flags": flags,
-                })  # fmt: skip
-                print(
-                    f"  {contestant.name}, α {found[-1]['alpha']:.2f}: {1e3 * found[-1]['h_min']:.2f} mm",
-                    file=sys.stderr,
-                )
-    return found
+    chosen = [
+        dataclasses.replace(c, options=c.options | {"limited": True} | ({} if gain is None else {"alpha": gain}))
+        for c in contestants
+        for gain in c.gains
+    ]
+
+    def ask(contestant: Contestant, child: Child) -> dict[str, Any]:
+        runs = [child.ask("loop", 600.0, steps=steps, seed=seed) for seed in range(seeds)]
+        flags: Counter[str] = Counter()
+        for run in runs:
+            flags.update(run["flags"])
+        found = {
+            "peer": contestant.name, "alpha": contestant.options.get("alpha", problem.alpha),
+            "h_min": min(run["h_min"] for run in runs), "steps": steps * seeds,
+            "no_answer": sum(run["failed"] for run in runs),
+            "followed_share": float(np.mean([run["followed_share"] for run in runs])), "flags": dict(flags),
+        }  # fmt: skip
+        print(f"  {contestant.name}, α {found['alpha']:.2f}: {1e3 * found['h_min']:.2f} mm", file=sys.stderr)
+        return found
+
+    return _with_each(chosen, problem, ask)
 
 
-def _prepared(contestants: Sequence[Contestant], problem: Problem) -> Iterator[tuple[Contestant, Child]]:
-    """Those who can take this problem, one after the other."""
-    with tempfile.TemporaryDirectory() as folder:
+T = TypeVar("T")
+
+
+def _with_each(contestants: Sequence[Contestant], problem: Problem, ask: Callable[[Contestant, Child], T]) -> list[T]:
+    """What `ask` finds with everybody who can take this problem; nothing here is timed, so that several run at once."""
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_ONCE) as pool:
         path = str(Path(folder) / "problem.npz")
         problem.save(path)
-        for contestant in contestants:
+
+        def meet(contestant: Contestant) -> T | None:
             try:
                 child = Child(contestant)
-            except Refused:
-                continue
-            try:
-                child.ask("prepare", problem=path, options=contestant.options)
-                yield contestant, child
             except Refused as why:
                 print(f"  {contestant.name}: {why}", file=sys.stderr)
+                return None
+            try:
+                child.ask("prepare", problem=path, options=contestant.options)
+                return ask(contestant, child)
+            except Refused as why:
+                print(f"  {contestant.name}: {why}", file=sys.stderr)
+                return None
             finally:
                 child.close()
+
+        return [found for found in pool.map(meet, contestants) if found is not None]
