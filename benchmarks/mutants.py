@@ -80,7 +80,9 @@ def advance(asked: argparse.Namespace, journal: Journal, sources: str) -> None:
     if asked.again:
         known = {key: row for key, row in known.items() if row["outcome"] != "survived"}
     places: Queue[Workshop] = Queue()
-    limit, order = baseline(asked, Counter(row.get("test", "") for row in journal.rows()))
+    limit, seconds = baseline(asked)
+    kills = Counter(row.get("test", "") for row in journal.rows())
+    order = rank(asked.scratch / "order.json", seconds, kills)
     for job in range(asked.jobs):
         place = Workshop(ROOT, asked.scratch / f"job{job}", limit)
         place.prepare()
@@ -90,26 +92,29 @@ def advance(asked: argparse.Namespace, journal: Journal, sources: str) -> None:
         if row is not known.get(mutant.key):
             journal.append({**row, "sources": sources, "revision": revision(ROOT)})
         tested += row["outcome"] in ("caught", "survived")
+        kills[row.get("test", "")] += 1
+        rank(order, seconds, kills)
         said = f"{row.get('by', '')} {row.get('test', '')} {row.get('seconds', '')}"
         where = f"{mutant.file}:{mutant.line} {mutant.kind} | {mutant.after}"
         print(f"{tested}/{asked.count} {row['outcome']:8} {where} | {said}", file=sys.stderr, flush=True)
 
 
-def baseline(asked: argparse.Namespace, kills: Counter[str]) -> tuple[float, Path]:
-    """Processor time [s] that a mutant's tests may take, and their order. The original must pass.
-
-    What caught many mutants so far in little time goes first; whether a mutant is caught does not depend on it.
-    """
+def baseline(asked: argparse.Namespace) -> tuple[float, dict[str, float]]:
+    """Processor time [s] that a mutant's tests may take, and what each test takes. The original must pass."""
     place = Workshop(ROOT, asked.scratch / "job0", 600.0)
     place.prepare()
     verdict, rows = place.test(first_failure=False)
     if verdict.caught:
         sys.exit(f"the unmutated project fails its tests: {verdict.test}")
     seconds = {row["test"]: row["seconds"] for row in rows if "seconds" in row}
-    order = asked.scratch / "order.json"
-    order.write_text(json.dumps(sorted(seconds, key=lambda name: (seconds[name] + 0.02) / (kills[name] + 0.05))))
     print(f"unmutated: {len(seconds)} tests pass in {verdict.seconds} s of processor time", file=sys.stderr, flush=True)
-    return max(SECONDS_LEAST, TIMES_BASELINE * verdict.seconds), order
+    return max(SECONDS_LEAST, TIMES_BASELINE * verdict.seconds), seconds
+
+
+def rank(path: Path, seconds: dict[str, float], kills: Counter[str]) -> Path:
+    """The order of tests: what caught many mutants in little time goes first. What is caught does not depend on it."""
+    path.write_text(json.dumps(sorted(seconds, key=lambda name: (seconds[name] + 0.02) / (kills[name] + 0.05))))
+    return path
 
 
 def carry_out(
