@@ -113,8 +113,9 @@ def baseline(asked: argparse.Namespace) -> tuple[float, dict[str, float]]:
 
 def rank(path: Path, seconds: dict[str, float], kills: Counter[str]) -> Path:
     """The order of tests: what caught many mutants in little time goes first. What is caught does not depend on it."""
-    path.write_text(json.dumps(sorted(seconds, key=lambda name: (seconds[name] + 0.02) / (kills[name] + 0.05))))
-    return path
+    fresh = path.with_suffix(".new")
+    fresh.write_text(json.dumps(sorted(seconds, key=lambda name: (seconds[name] + 0.02) / (kills[name] + 0.05))))
+    return fresh.replace(path)
 
 
 def carry_out(

@@ -135,7 +135,7 @@ def test_the_jerk_box_follows_its_equation(panda, at):
 
 
 def test_a_limit_that_the_accelerations_cannot_keep_is_told(small, at):
-    """A joint too fast for its limit: the box keeps to the acceleration, and the answer says that no control would do."""
+    """A joint too fast for its limit: the box keeps to the acceleration, and the answer says that nothing would do."""
     for side, at_limit in ((1.0, "upper"), (-1.0, "lower")):
         q, u_prev = np.array(small.home), np.zeros(7)
         q[2], u_prev[2] = side * (abs(getattr(small.joints[2], at_limit).value) - 0.01), side * 1.5
