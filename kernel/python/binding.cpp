@@ -227,6 +227,35 @@ struct Kernel {
                           out.relaxed);
   }
 
+  // rows of q, v, u_nom, u_prev (m, n) are independent states of a bolted body: each starts afresh from its u_prev,
+  // without a warm start; the filter's own memory is left alone
+  void batch(const Array &q, const Array &v, const Array &u_nom, const Array &u_prev, const Array &opening,
+             double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const {
+    const size_t m = status.size(), all = m * n;
+    expect(q.size() == all && v.size() == all && u_nom.size() == all && u_prev.size() == all && u.size() == all &&
+               opening.size() == m && delta.size() == m && h_min.size() == m, "batch of m states");
+    const std::unique_ptr<dbk_ctx> work{new dbk_ctx()};
+    const nb::gil_scoped_release release;
+    dbk_in state{};
+    dbk_out answer{};
+    state.scene_age = static_cast<dbk_real>(scene_age);
+    for (size_t r = 0; r < m; ++r) {
+      dbk_init(work.get());
+      for (size_t k = 0; k < n; ++k) {
+        state.q[k] = static_cast<dbk_real>(q.data()[r * n + k]);
+        state.v[k] = static_cast<dbk_real>(v.data()[r * n + k]);
+        state.u_nom[k] = static_cast<dbk_real>(u_nom.data()[r * n + k]);
+        work->u_prev[k] = work->u_nom_prev[k] = static_cast<dbk_real>(u_prev.data()[r * n + k]);
+      }
+      state.opening = static_cast<dbk_real>(opening.data()[r]);
+      dbk_step(model.get(), scene.get(), work.get(), &state, &answer);
+      for (size_t k = 0; k < n; ++k) { u.data()[r * n + k] = static_cast<double>(answer.u[k]); }
+      status.data()[r] = static_cast<int8_t>(answer.status);
+      delta.data()[r] = static_cast<double>(answer.delta);
+      h_min.data()[r] = static_cast<double>(answer.h_min);
+    }
+  }
+
   int project(const Array &q, const Array &v, const Array &wish, const Array &u_prev, double opening, double state_age,
               double scene_age, double extra, const Out &u) {
     load(q, v, wish, opening, state_age, scene_age);
@@ -431,6 +460,7 @@ NB_MODULE(DBK_MODULE, m) {
       .def("stand", &Kernel::stand)
       .def("reset", &Kernel::reset)
       .def("step", &Kernel::step)
+      .def("batch", &Kernel::batch)
       .def("project", &Kernel::project)
       .def("tool", &Kernel::tool)
       .def("spheres", &Kernel::spheres)

@@ -28,6 +28,19 @@ class Kernel:
     ) -> tuple[
         int, int, float, float, float, float, bool, int, int, tuple[tuple[int, int, int, float, float], ...], int
     ]: ...
+    def batch(
+        self,
+        q: Array,
+        v: Array,
+        u_nom: Array,
+        u_prev: Array,
+        opening: Array,
+        scene_age: float,
+        u: Array,
+        status: NDArray[np.int8],
+        delta: Array,
+        h_min: Array,
+    ) -> None: ...
     def project(
         self,
         q: Array,

@@ -13,6 +13,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.differential_base import pose
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.safety.batch import Batch, run_batch
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.native import make_kernel, obstacle_rows, tool_frame
 from dualbrain.safety.obstacles import Obstacle, Separation
@@ -164,6 +165,26 @@ class SafetyFilter:
             u, u_nom, self._names, STATUSES[status], flags, delta, by_rows, by_box, h_min, certified, iterations,
             n_rows, rows, relaxed,
         )  # fmt: skip
+
+    def batch(
+        self, Q: Array, V: Array, U: Array, now: float = 0.0, *, u_prev: Array | None = None,
+        opening: Array | float = 0.0,
+    ) -> Batch:  # fmt: skip
+        """Filter m independent states, one a row of Q, V and U (m, n): for Monte-Carlo and learning.
+
+        Row i is what a fresh filter answers after `reset(u_prev[i])`, bit for bit; `u_prev` (m, n) is V by default.
+        Obstacles, permits, rows handed in and a held object count as for a single call; this filter's own memory is
+        neither read nor changed.
+
+        Raises:
+            InvalidSetup: the shapes do not agree; or a base that moves, or live barriers: both belong to one state.
+        """
+        if self._barriers or self._mobile:
+            raise InvalidSetup(
+                "a batch", got=self.body.name, allowed="a bolted body, no barriers that are computed anew"
+            )
+        last = V if u_prev is None else u_prev
+        return run_batch(self._kernel, self.body.n, Q, V, U, last, opening, now - self._stamp)
 
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
         """φ's own projection of a wish (n,): known obstacles, the box around `u_nom_prev`, a little more clearance.
