@@ -66,8 +66,9 @@ def survivors(rows: list[dict]) -> list[str]:
     known, lines = reasons(), []
     for row in (row for row in rows if row["outcome"] == "survived"):
         reason = known.get(name(row), {"kind": "not explained yet", "why": ""})
-        lines += [f"- `{row['file']}`, line {row['line']} ({row['kind']}): **{reason['kind']}**. {reason['why']}".rstrip(),
-                  "  ```diff", f"  - {row['before']}", f"  + {row['after']}", "  ```"]  # fmt: skip
+        place = f"`{row['file']}`, line {row['line']} ({row['kind']})"
+        lines += [f"- {place}: **{reason['kind']}**. {reason['why']}".rstrip(), "  ```diff", f"  - {row['before']}",
+                  f"  + {row['after']}", "  ```"]  # fmt: skip
     return ["Survivors:", "", *lines] if lines else ["No survivors."]
 
 
