@@ -27,6 +27,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "does_not_compile": counts["does not compile"],
         "same_object_code": counts["same object code"],
         "caught_share": counts["caught"] / tested if tested else 0.0,
+        "caught_of_real": counts["caught"] / (tested - equivalent) if tested > equivalent else 0.0,
         "by": dict(Counter(row["by"] for row in rows if row["outcome"] == "caught")),
     }
 
@@ -46,7 +47,8 @@ def table(facts: dict, rows: list[dict]) -> list[str]:
     """Counts, kinds, files, and every survivor with its reason."""
     lines = [
         f"{facts['tested']} mutants tested (seed {facts['seed']}): {facts['caught']} caught "
-        f"({100 * facts['caught_share']:.1f} %), {facts['survived']} survived ({facts['equivalent']} equivalent).",
+        f"({100 * facts['caught_share']:.1f} %), {facts['survived']} survived ({facts['equivalent']} equivalent; "
+        f"without these {100 * facts['caught_of_real']:.1f} % caught).",
         f"Counted apart: {facts['does_not_compile']} did not compile, {facts['same_object_code']} gave the same object "
         f"code. Caught by: {', '.join(f'{k} {v}' for k, v in facts['by'].items())}.",
         "",
