@@ -1,8 +1,6 @@
-"""The closest control that meets every row, and the least violation when none does: the kernel's QP in float64."""
+"""The closest control that meets every row: the kernel's QP in float64, for any number of rows."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -12,9 +10,6 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.safety import _kernel64
 
 Array = NDArray[np.float64]
-Ranks = NDArray[np.int64]
-Marks = NDArray[np.bool_]
-Eased = Callable[[float], Array]
 
 MAX_CONTROLS = 8
 """Controls that the kernel's QP holds."""
@@ -24,8 +19,6 @@ BATCH = 48
 """Rows that are handed to the kernel at a time."""
 FORGIVEN = 1e-8
 """What the check after the QP forgives in a row, as a share of the row's own size."""
-HALVINGS = 30
-"""Bisections of the least violation; its answer is at most 1e-9 of the first violation above the least one."""
 
 
 class Closest(msgspec.Struct, frozen=True, eq=False):
@@ -67,7 +60,7 @@ class ClosestControl:
         """
         if np.all(u_nom >= lower) and np.all(u_nom <= upper) and np.all(A @ u_nom >= b):
             return Closest(u_nom.copy(), met=True, capped=False, iterations=0, active=())
-        scaled, size = A * self.unit, _size(A * self.unit)
+        scaled, size = A * self.unit, row_sizes(A * self.unit)
         chosen = np.zeros(len(b), bool)
         gap, total = (A @ np.clip(u_nom, lower, upper) - b) / size, 0
         while True:
@@ -94,64 +87,12 @@ class ClosestControl:
         )
         return result, iterations, active, np.clip(answer * self.unit, lower, upper)
 
-    def least_violation(
-        self, A: Array, b: Array, rank: Ranks, size: Array, lower: Array, upper: Array, anchor: Array
-    ) -> tuple[Closest, tuple[int, ...]]:
-        """The control nearest to `anchor` among those that violate the rows least, rank by rank, lowest number first.
-
-        Within a rank the largest violation (b − A u)/size is the least possible; the rows in its conflict stay there
-        and the others go on without them. No row is met worse than `anchor` meets it, unless beyond its own b; `anchor`
-        lies in the box, so an answer always exists. Also the ranks given up.
-        """
-        floor = np.minimum(b, A @ anchor) - 1e-9 * _size(A * self.unit)
-        answer, given_up = self.solve(A, floor, lower, upper, anchor), set[int]()
-        for which in np.unique(rank):
-            mine = rank == which
-            while mine.any():
-                answer, floor, lost = self._ease(A, b, floor, mine, size, lower, upper, anchor)
-                if not lost.any():
-                    break
-                given_up.add(int(which))
-                mine = mine & ~lost
-        return answer, tuple(sorted(given_up))
-
-    def _ease(
-        self, A: Array, b: Array, floor: Array, mine: Marks, size: Array, lower: Array, upper: Array, anchor: Array
-    ) -> tuple[Closest, Array, Marks]:
-        """Ease the rows of `mine` alike until all can be met: the answer, what all rows keep, and which had to give."""
-
-        def eased(t: float) -> Array:
-            return np.where(mine, np.maximum(floor, b - t * size), floor)
-
-        t, answer, conflict = self._least(A, eased, float(np.max((b - floor)[mine] / size[mine])), lower, upper, anchor)
-        lost = np.zeros(len(b), bool)
-        if t > 0.0:
-            lost[[index - 2 * len(anchor) for index, _ in conflict if index >= 2 * len(anchor)]] = True
-            lost = lost & mine if (lost & mine).any() else mine
-        return answer, np.where(mine & ~lost & (t > 0.0), floor, np.minimum(eased(t), A @ answer.u)), lost
-
-    def _least(
-        self, A: Array, eased: Eased, t: float, lower: Array, upper: Array, anchor: Array
-    ) -> tuple[float, Closest, tuple[tuple[int, float], ...]]:
-        """The smallest t whose eased rows can be met, by bisection from a t that can, and who conflicts below it."""
-        whole = self.solve(A, eased(0.0), lower, upper, anchor)
-        if whole.met or t <= 0.0:
-            return 0.0, whole, ()
-        low, best, conflict = 0.0, self.solve(A, eased(t), lower, upper, anchor), whole.active
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + t)
-            trial = self.solve(A, eased(middle), lower, upper, anchor)
-            if trial.met:
-                t, best = middle, trial
-            else:
-                low, conflict = middle, trial.active
-        return t, best, conflict
-
 
 def _worst(gap: Array) -> NDArray[np.int64]:
     """The rows with the smallest gaps: those below zero and their nearest, at most `BATCH`."""
     return np.argpartition(gap, BATCH)[:BATCH] if len(gap) > BATCH else np.arange(len(gap))
 
 
-def _size(rows: Array) -> Array:
+def row_sizes(rows: Array) -> Array:
+    """Euclidean length of each row, at least 1e-9."""
     return np.maximum(np.linalg.norm(rows, axis=1), 1e-9)

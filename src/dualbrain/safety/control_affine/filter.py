@@ -12,6 +12,7 @@ from dualbrain.safety.closest import Closest, ClosestControl
 from dualbrain.safety.control_affine.answer import FilteredControl
 from dualbrain.safety.control_affine.rows import CompiledRows
 from dualbrain.safety.control_affine.system import Barrier, ControlAffine
+from dualbrain.safety.least_violation import Conflict, above, anywhere
 from dualbrain.safety.result import Reason, Status
 from dualbrain.safety.rows import Rank
 
@@ -29,18 +30,19 @@ class ControlAffineFilter:
     where L_g L_f^{r−1} h = 0 and the row cannot be acted upon. A control that is held for a period dt loses what
     ψ_{r−1} can curve within it: with α_r dt ≤ 1 a `margin` of dt/2 · max |d²ψ_{r−1}/dt²| covers that.
 
-    Where rows conflict they are given up by rank, as little as possible; none is met worse than `fallback` meets it.
+    Where rows conflict they are given up by rank, as little as possible; with a `fallback` none is met worse than that
+    control meets it.
     """
 
     def __init__(
         self, system: ControlAffine, barriers: Sequence[Barrier], lower: ArrayLike = -np.inf,
-        upper: ArrayLike = np.inf, *, weight: Array | None = None, fallback: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf, *, weight: Array | None = None, fallback: ArrayLike | None = None,
         domain: tuple[ArrayLike, ArrayLike] = (-1.0, 1.0),
     ) -> None:  # fmt: skip
         """`lower` and `upper` (m,) are the box, `weight` is R (m, m), by default diag(1/half range²).
 
-        `fallback` (m,) is the control of last resort (braking). `domain` are bounds (n,) between which relative degrees
-        are tested.
+        `fallback` (m,) is the control of last resort (braking), 0 if none is given. `domain` are bounds (n,) between
+        which relative degrees are tested.
         """
         self.system, self.barriers = system, tuple(barriers)
         self._names = tuple(barrier.name for barrier in self.barriers)
@@ -54,7 +56,9 @@ class ControlAffineFilter:
         self._closest = ClosestControl(self._unit, weight)
         limit = UNLIMITED * self._unit
         self._lower, self._upper = np.maximum(low, -limit), np.minimum(high, limit)
-        self._fallback = np.clip(_sized(fallback, system.m, "fallback"), self._lower, self._upper)
+        self._floor = fallback is not None
+        last = _sized(0.0 if fallback is None else fallback, system.m, "fallback")
+        self._fallback = np.clip(last, self._lower, self._upper)
         edges = (_sized(domain[0], system.n, "domain"), _sized(domain[1], system.n, "domain"))
         self._rows = CompiledRows(system, self.barriers, edges)
         self._ranks = np.array([int(barrier.rank) for barrier in self.barriers], np.int64)
@@ -82,12 +86,17 @@ class ControlAffineFilter:
         if found.met:
             status = Status.SAFE if np.array_equal(found.u, wish) else Status.MODIFIED
             return self._told(found.u, wish, status, Reason(0), chains, found)
-        size = np.maximum(np.abs(A) @ self._unit, 1e-9)
-        least, lost = self._closest.least_violation(A, b, self._ranks, size, self._lower, self._upper, self._fallback)
+        least, lost = self._conflict(A, b).least(self._ranks)
         if not least.met:
             return self._told(self._fallback, wish, Status.STOPPED, Reason.QP_ITERATIONS, chains, found)
         reason = Reason.QP_ITERATIONS if found.capped else Reason.INFEASIBLE
         return self._told(least.u, wish, Status.RELAXED, reason, chains, found, lost)
+
+    def _conflict(self, A: Array, b: Array) -> Conflict:
+        """Violations count in units of what half the box can do about them."""
+        low, high, size = self._lower, self._upper, np.maximum(np.abs(A) @ self._unit, 1e-9)
+        floor = above(A, b, self._fallback) if self._floor else anywhere(A, b, low, high)
+        return Conflict(self._closest, A, b, size, low, high, self._fallback, floor)
 
     def _told(
         self, u: Array, wish: Array, status: Status, reason: Reason,

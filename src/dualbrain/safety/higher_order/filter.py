@@ -16,6 +16,7 @@ from dualbrain.safety.higher_order.limits import acceleration_box, limits_of
 from dualbrain.safety.higher_order.motion import Spheres
 from dualbrain.safety.higher_order.pairs import OWN, OwnPairs, Pairs, ThingPairs, joined
 from dualbrain.safety.higher_order.sampling import courses
+from dualbrain.safety.least_violation import Conflict, above
 from dualbrain.safety.obstacles import Obstacle
 from dualbrain.safety.result import Reason, Status
 from dualbrain.safety.rows import Rank
@@ -176,7 +177,9 @@ class AccelerationFilter:
             same = np.array_equal(found.u, seen.u_nom)
             return self._told(seen, found.u, Status.SAFE if same else Status.MODIFIED, Reason(0))
         late = pairs.rate + pairs.alpha_1 * pairs.h < 0.0
-        least, lost = self._closest.least_violation(A, b, 2 * pairs.rank + late, np.ones(len(b)), lower, upper, brake)
+        floor = above(A, b, brake)
+        conflict = Conflict(self._closest, A, b, np.ones(len(b)), lower, upper, brake, floor)
+        least, lost = conflict.least(2 * pairs.rank + late)
         seen = msgspec.structs.replace(seen, given_up=tuple(dict.fromkeys(Rank(rank // 2) for rank in lost)))
         if not least.met:
             return self._told(seen, brake, Status.STOPPED, Reason.QP_ITERATIONS)
