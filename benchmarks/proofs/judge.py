@@ -1,0 +1,78 @@
+"""The float64 judge of the lab, fed from a `Body` and true obstacles; shares no numbers with the kernel's own model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.records import Box, Capsule, HalfSpace, Sphere
+from dualbrain.safety._kernel import Judge
+from dualbrain.safety.obstacles import Obstacle
+
+Array = NDArray[np.float64]
+COLUMNS = 24
+
+
+def judge_of(body: Body, opening: float = 0.0) -> Judge:
+    """A judge for `body` with the fingers held at `opening` [m]."""
+    centres, radii, first = [], [], [0]
+    for link in body.links:
+        turn, shift = rotation(link.quaternion), np.array(link.translation) + 0.0
+        for sphere in (s for s in body.spheres if s.link == link.name):
+            centres.append(shift + turn @ (np.array(sphere.centre) + opening * np.array(link.slide)))
+            radii.append(sphere.radius)
+        first.append(len(radii))
+    names = [link.name for link in body.links]
+    joints = body.joints
+    return Judge(
+        {
+            "n": body.n,
+            "rotation": np.concatenate([rotation(j.quaternion).ravel() for j in joints]),
+            "offset": np.concatenate([np.array(j.translation) for j in joints]),
+            "lower": np.array([j.lower.value for j in joints]),
+            "upper": np.array([j.upper.value for j in joints]),
+            "v_max": np.array([j.velocity.value for j in joints]),
+            "a_max": np.array([j.acceleration.value for j in joints]),
+            "frame": np.array([float(link.frame) for link in body.links]),
+            "first": np.array(first, float),
+            "pairs": np.array([float(names.index(n)) for pair in body.self_pairs.kept for n in pair]),
+            "centres": np.ascontiguousarray(centres),
+            "radii": np.array(radii),
+        }
+    )
+
+
+def rotation(quaternion: Sequence[float]) -> Array:
+    """Matrix (3, 3) of a unit quaternion (w, x, y, z), by Rodrigues' formula."""
+    w, axis = quaternion[0], np.array(quaternion[1:])
+    cross = np.cross(np.eye(3), axis)
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def thing_rows(obstacles: Sequence[Obstacle]) -> Array:
+    """Truth about each obstacle as a row (k, 24) that the judge reads; margins are the filter's affair."""
+    rows = np.zeros((len(obstacles), COLUMNS))
+    for row, thing in zip(rows, obstacles, strict=True):
+        match thing.shape:
+            case Sphere(radius=radius):
+                row[0], row[17] = 0, radius
+            case Capsule(radius=radius, half_length=length):
+                row[0], row[16], row[17] = 0, length, radius
+            case Box(half_extents=extents):
+                row[0], row[14:17] = 1, extents
+            case HalfSpace():
+                row[0] = 2
+        row[1] = not thing.static
+        row[2:5], row[5:14] = thing.pose.position, rotation(thing.pose.quaternion).ravel()
+        row[18:21] = thing.velocity
+    return rows
+
+
+def verdicts(judge: Judge, q: Array, obstacles: Sequence[Obstacle], period: float = 1e-3) -> Array:
+    """True h at postures q (t, n), as columns (t, 5): still, moving, own links [m], joints [rad], approach [m/s]."""
+    out = np.empty((len(q), 5))
+    judge.look(np.ascontiguousarray(q), thing_rows(obstacles), period, out)
+    return out

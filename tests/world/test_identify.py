@@ -1,0 +1,166 @@
+"""The tracking model: a known plant is recovered, and the leaky integral really bounds what a barrier loses."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.world.drive import KINDS, Drive
+from dualbrain.world.identify import EXCITATIONS, SAFETY_FACTOR, Log, excite, fit, identify, leaky_error
+from dualbrain.world.plant import Plant
+from dualbrain.world.scenes import make_scene
+
+PERIOD, RATE = 1e-3, 3.45
+
+
+class FirstOrder:
+    """A plant with a known lag and a known residual r: y = q + lag v obeys ẏ = u + r exactly."""
+
+    def __init__(self, n, lag, residual=lambda t: 0.0):
+        self.q, self.v, self.lag, self.residual, self.t = (
+            np.array(load_body("panda").home),
+            np.zeros(n),
+            lag,
+            residual,
+            0,
+        )
+
+    def sense(self):
+        """Nothing to do."""
+
+    def act(self, u):
+        u = u + self.residual(self.t * PERIOD)
+        fade = np.exp(-PERIOD / self.lag)
+        self.q = self.q + u * PERIOD + (self.v - u) * self.lag * (1.0 - fade)
+        self.v = u + (self.v - u) * fade
+        self.t += 1
+
+
+def driven(plant, u):
+    """Log of `plant` under given controls (t, n)."""
+    q, v = np.empty_like(u), np.empty_like(u)
+    for t, control in enumerate(u):
+        q[t], v[t] = plant.q, plant.v
+        plant.act(control)
+    return Log(q, v, u)
+
+
+def wandering(seed, steps=3000, n=7):
+    rng = np.random.default_rng(seed)
+    t = np.arange(steps)[:, None] * PERIOD
+    return 2.0 * np.sin(rng.uniform(1.0, 9.0, n) * t + rng.uniform(0.0, 6.0, n))
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.0005, 0.03), st.integers(0, 10**6))
+def test_a_known_lag_is_recovered(lag, seed):
+    found = fit([[driven(FirstOrder(7, lag), wandering(seed))]], RATE, PERIOD)
+    assert found.lag == pytest.approx(lag, abs=3e-6)
+    assert found.position_error < 1e-4
+
+
+def test_a_constant_residual_gives_r_over_alpha():
+    """∫ exp(−α s) r ds = r/α in the long run; through u alone, so that the lag stays what it is."""
+    plant = FirstOrder(7, 0.004, lambda t: 0.02)
+    found = fit([[driven(plant, wandering(3, 4000))]], RATE, PERIOD, lag=0.004)
+    assert found.position_error == pytest.approx(SAFETY_FACTOR * 0.02 / RATE, rel=0.01)
+    assert found.tracking == pytest.approx(SAFETY_FACTOR * 0.02, rel=0.01)
+    assert found.velocity_error == pytest.approx(0.02, rel=1e-3)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from((0.05, 0.3, 3.0)))
+def test_the_leaky_integral_bounds_what_a_barrier_loses(seed, pace):
+    """A wall ahead of two joints, u = −α h at the measured y: h never falls below −Σ |a_k| e_k."""
+    rng = np.random.default_rng(seed)
+    a, amplitude, phase = rng.uniform(-1.0, 1.0, 2), rng.uniform(0.0, 0.1, 2), rng.uniform(0.0, 6.0, 2)
+    plant = FirstOrder(2, 0.003, lambda t: amplitude * np.sign(np.sin(2.0 * np.pi * pace * t + phase)))
+    plant.q, steps = np.zeros(2), 2500
+    q, v, u, h = np.empty((steps, 2)), np.empty((steps, 2)), np.empty((steps, 2)), np.empty(steps)
+    for t in range(steps):
+        y = plant.q + plant.lag * plant.v
+        q[t], v[t], h[t] = plant.q, plant.v, 0.05 + a @ y
+        u[t] = -RATE * h[t] * a / (a @ a)
+        plant.act(u[t])
+    e = leaky_error(Log(q, v, u), plant.lag, RATE, PERIOD)
+    assert np.all(h[1:] >= -np.abs(e) @ np.abs(a) - 1e-4)
+    model = 0.05 * np.exp(-RATE * PERIOD * np.arange(1, steps))
+    assert np.allclose(h[1:], model + e @ a, atol=2e-4)
+
+
+def test_row_term_inflates_the_barrier_by_the_error():
+    """With tracking = α e in the row, the worst residual within the bound leaves h at zero or above."""
+    e = 0.005
+    h = 0.04
+    for _ in range(8000):
+        u = -RATE * h + RATE * e
+        h += PERIOD * (u - RATE * e)
+        assert h >= 0.0
+
+
+def test_two_sigma_and_the_factor_are_over_seeds():
+    logs = [[driven(FirstOrder(7, 0.002, lambda t, r=r: r), wandering(i))] for i, r in enumerate((0.01, 0.02))]
+    found = fit(logs, RATE, PERIOD, lag=0.002)
+    spread = np.mean(found.by_seed) + 2.0 * np.std(found.by_seed, ddof=1)
+    assert found.position_error == pytest.approx(SAFETY_FACTOR * max(*found.by_seed, spread))
+    assert found.position_error >= SAFETY_FACTOR * max(found.largest)
+
+
+def test_too_little_is_refused():
+    with pytest.raises(InvalidSetup):
+        fit([], RATE, PERIOD)
+
+
+@pytest.fixture(scope="module")
+def empty_scene():
+    return msgspec.structs.replace(make_scene("bare", 0), things=(), mover=None)
+
+
+def test_computed_torque_has_the_lag_it_is_tuned_to(empty_scene):
+    body, told = load_body("panda"), []
+    found = identify(
+        lambda: Drive(Plant(empty_scene, body), "computed_torque", contacts=False), body, seeds=(0,), seconds=1.0,
+        progress=lambda share, word: told.append((share, word)),
+    )  # fmt: skip
+    assert found.lag == pytest.approx(0.002, abs=2e-5)
+    assert found.position_error < 1.5e-4
+    assert [share for share, _ in told] == pytest.approx([0.0, 1 / 3, 2 / 3])
+
+
+def test_velocity_actuators_lag_a_few_milliseconds_at_most(empty_scene):
+    body = load_body("panda")
+    found = identify(lambda: Drive(Plant(empty_scene, body), contacts=False), body, seeds=(0,), seconds=1.0)
+    assert 0.0 <= found.lag < 0.004
+    assert 1e-4 < found.position_error < 0.01
+    assert len(found.largest) == 7
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_excitations_repeat_from_their_seed(kind):
+    body = load_body("panda")
+    first, second = (excite(FirstOrder(7, 0.002), body, kind, 200, np.random.default_rng(5)) for _ in range(2))
+    assert np.array_equal(first.u, second.u)
+    change = np.abs(np.diff(first.u, axis=0)).max(axis=0)
+    assert np.all(change <= np.array([j.acceleration.value for j in body.joints]) * PERIOD * (1 + 1e-5) + 1e-6)
+
+
+def test_the_halved_step_is_the_plants_own(empty_scene):
+    """Velocity drive: sense and act are one `advance`."""
+    body = load_body("panda")
+    whole, halves = Plant(empty_scene, body), Drive(Plant(empty_scene, body))
+    u = np.linspace(-0.05, 0.05, 7)
+    for _ in range(50):
+        whole.data.ctrl[:7] = u
+        whole.advance()
+        halves.sense()
+        halves.act(u)
+    assert np.allclose(whole.data.qpos[whole.arm_slices[0]], halves.q, atol=1e-9)
+
+
+def test_unknown_drive(empty_scene):
+    with pytest.raises(UnknownName, match="velocity"):
+        Drive(Plant(empty_scene, load_body("panda")), "magnetic")
+    assert KINDS == ("velocity", "computed_torque")
