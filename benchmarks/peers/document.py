@@ -10,6 +10,13 @@ from typing import Any
 INTRODUCTION = Path(__file__).with_name("introduction.md")
 
 
+LATENCY = """## Latency of one step
+
+Median and p99 in µs of time that passed, ratio of medians over `dualbrain` in the same unit. *processor* is the median
+over blocks of the mean processor time of a step [µs]: on a busy machine a step of milliseconds is interrupted and one
+of microseconds is not, so that medians beyond a millisecond, and all p99, overstate what the step costs."""
+
+
 def write(whole: dict[str, Any], path: Path) -> None:
     """Write the document of a run to `path`."""
     parts = [INTRODUCTION.read_text(), _origin(whole), _bars(whole), _latency(whole), _first(whole), _deviation(whole)]
@@ -47,7 +54,7 @@ def _bars(whole: dict[str, Any]) -> str:
 
 
 def _latency(whole: dict[str, Any]) -> str:
-    parts = ["## Latency of one step\n\nMedian and p99 in µs, ratio of medians over `dualbrain` in the same unit."]
+    parts = [LATENCY]
     for unit in whole["units"]:
         setting, _, n = unit["unit"].partition(":")
         rows = [row for row in whole["rows"] if row["setting"] == setting and str(row["n"]) == n]
@@ -58,6 +65,7 @@ def _latency(whole: dict[str, Any]) -> str:
                 row["peer"],
                 f"{row['median_us']:.1f}",
                 f"{row['p99_us']:.1f}",
+                "" if "processor_us" not in row else f"{row['processor_us']:.1f}",
                 "" if row["ratio"] is None else f"{row['ratio']:.1f}",
                 _rows_in_qp(row),
                 row["samples"],
@@ -68,7 +76,7 @@ def _latency(whole: dict[str, Any]) -> str:
         parts.append(
             f"### {n} {setting}\n\n{unit['pairs']} pairs of a sphere and an obstacle; the exact filter changes "
             f"{100 * unit['changed_share']:.0f} % of the recorded steps.\n\n"
-            + _grid(("contestant", "median", "p99", "ratio", "rows in QP", "samples", "failed"), lines)
+            + _grid(("contestant", "median", "p99", "processor", "ratio", "rows in QP", "samples", "failed"), lines)
         )
     return "\n\n".join(parts)
 
@@ -145,6 +153,8 @@ def _said(one: dict[str, Any]) -> str:
 
 
 def _clearance(whole: dict[str, Any]) -> str:
+    if not whole["clearance"]:
+        return ""
     lines = [
         (
             one["peer"], f"{one['alpha']:.2f}", f"{1e3 * one['h_min']:+.2f}", one["no_answer"] or "",
@@ -152,13 +162,13 @@ def _clearance(whole: dict[str, Any]) -> str:
         )
         for one in whole["clearance"]
     ]  # fmt: skip
-    steps = whole["clearance"][0]["steps"] if whole["clearance"] else 0
+    steps = whole["clearance"][0]["steps"]
     return (
         "## Clearance under acceleration limits\n\nA plant that follows commands as far as Panda's a_max allows (no "
         f"lag, no noise), 50 rows, {steps} steps of 1 ms, a nominal at full speed toward one of the nearest obstacles, "
         "changed every 150 ms; each contestant in its own loop from the same start and seeds. Least true h in mm: "
         "negative is penetration. Ours knows the limits; peers get α = min a/v, with which a velocity-level filter can "
-        "be followed, and α = 10, the value of oscbf's examples. A missing answer brakes. *Followed*: share of "
+        "nearly be followed, and α = 10, the value of oscbf's examples. A missing answer brakes. *Followed*: share of "
         "commands that the plant could follow.\n\n"
         + _grid(("contestant", "α [1/s]", "least h [mm]", "no answer", "followed"), lines)
     )

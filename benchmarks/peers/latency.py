@@ -104,6 +104,7 @@ def _alternate(children: list[Child], steps: int, effort: Effort, result: dict[s
     times: dict[str, list[int]] = {child.contestant.name: [] for child in children}
     lengths = {name: 1 for name in times}
     failed, spent = dict.fromkeys(times, 0), dict.fromkeys(times, 0.0)
+    busy: dict[str, list[float]] = {name: [] for name in times}
     for turn in range(-1, effort.rounds):
         start = WARM + max(0, turn) * effort.block % max(1, steps - effort.block - WARM)
         shift = max(0, turn) % len(children) if children else 0
@@ -120,8 +121,10 @@ def _alternate(children: list[Child], steps: int, effort: Effort, result: dict[s
             else:
                 spent[name] += time.monotonic() - begin
                 times[name] += answer["ns"]
+                busy[name].append(answer["processor_ns"])
                 failed[name] += answer["failed"]
     result["failed"] = failed
+    result["processor_us"] = {name: 1e-3 * float(np.median(blocks)) for name, blocks in busy.items()}
     return times
 
 
@@ -134,6 +137,7 @@ def _rows(times: dict[str, list[int]], children: list[Child], result: dict[str, 
         table.append({
             "peer": c.name, "setting": result["setting"], "n": result["n"], "median_us": 1e-3 * medians[c.name],
             "p99_us": 1e-3 * float(np.percentile(ns, 99)), "ratio": None if own is None else medians[c.name] / own,
+            "processor_us": result["processor_us"][c.name],
             "samples": len(ns), "failed": result["failed"][c.name], "same_problem": c.exact, "shipped": c.shipped,
             "ours": c.ours, "evaluated": child.ask("answers", at=[5])["evaluated"],
         })  # fmt: skip
