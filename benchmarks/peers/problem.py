@@ -8,6 +8,7 @@ rows of the plain control barrier function, n'J_s u ≥ −α (h − margin), an
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class Problem:
 def load(path: str) -> Problem:
     """The problem at `path`."""
     with np.load(path) as data:
-        values = {name: data[name] for name in data.files}
+        values: dict[str, Any] = {name: data[name] for name in data.files}
     for name in ("alpha", "period"):
         values[name] = float(values[name])
     return Problem(**(values | {"whole_body": bool(values["whole_body"])}))
