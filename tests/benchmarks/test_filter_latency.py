@@ -29,7 +29,7 @@ def whole(tmp_path_factory):
 def quick(_):
     site = ["-S"] if sys.flags.no_site else []
     command = [sys.executable, *site, str(ROOT / "benchmarks" / "filter_latency.py"), "--quick", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ, timeout=180)
     return (json.loads(done.stdout),)
 
 
