@@ -2,16 +2,19 @@
 #include "dbk_math.h"
 
 /* finite, inside the box, every row met to `tolerance`; a NaN anywhere answers 0 */
-int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF], const dbk_real upper[DBK_MAX_DOF],
-                  const dbk_real u[DBK_MAX_DOF], dbk_real tolerance) {
+DBK_WIDE int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF],
+                           const dbk_real upper[DBK_MAX_DOF], const dbk_real u[DBK_MAX_DOF], dbk_real tolerance) {
   dbk_real value[DBK_MAX_ROWS];
-  int32_t good = 1;
-  for (int32_t k = 0; k < n; ++k) { good &= dbk_finite(u[k]) && u[k] >= lower[k] && u[k] <= upper[k]; }
+  int32_t good = 1, k = 0;
+  for (int32_t i = 0; i < n; ++i) { good &= dbk_finite(u[i]) && u[i] >= lower[i] && u[i] <= upper[i]; }
   for (int32_t r = 0; r < rows->count; ++r) { value[r] = tolerance - rows->b[r]; }
-  for (int32_t k = 0; k < n; ++k) {
-    const dbk_real *restrict a = rows->a[k];
-    const dbk_real uk = u[k];
-    for (int32_t r = 0; r < rows->count; ++r) { value[r] += a[r] * uk; }
+  for (; k + 1 < n; k += 2) { /* two columns at a time */
+    const dbk_real *restrict a = rows->a[k], *restrict b = rows->a[k + 1];
+    const dbk_real ua = u[k], ub = u[k + 1];
+    for (int32_t r = 0; r < rows->count; ++r) { value[r] = (value[r] + a[r] * ua) + b[r] * ub; }
+  }
+  for (; k < n; ++k) {
+    for (int32_t r = 0; r < rows->count; ++r) { value[r] += rows->a[k][r] * u[k]; }
   }
   for (int32_t r = 0; r < rows->count; ++r) { good &= value[r] >= (dbk_real)0; }
   return good;
@@ -50,6 +53,7 @@ int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   dbk_real y[DBK_MAX_DOF];
   dbk_frames frames;
   int32_t good = 1;
+  if (ctx->visits.count == 0) { return 1; }
   for (int32_t k = 0; k < model->n; ++k) { y[k] = (in->q[k] + model->lag * in->v[k]) + model->period * u[k]; }
   dbk_base(in, &frames);
   dbk_fk(model, y, &frames);

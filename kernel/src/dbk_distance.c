@@ -3,29 +3,17 @@
  * All three shapes are convex, so that the distance is a convex function of the point: along a straight line it never
  * falls below its tangent. Inside a shape the normal points to the nearest way out, so that a row made from it recovers.
  */
-#include "dbk_math.h"
-
-#define TINY ((dbk_real)1e-6) /* [m] nearer than this the direction is rounding noise */
+#include "dbk_pair.h"
 
 /* segment of half length half[2] along local z, with a radius; half length 0 is a sphere */
-static void to_capsule(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
-                       const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
-                       dbk_real *restrict nz) {
+static inline void to_capsule(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x,
+                              const dbk_real *restrict y, const dbk_real *restrict z, dbk_real *restrict d,
+                              dbk_real *restrict nx, dbk_real *restrict ny, dbk_real *restrict nz) {
   const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
   const dbk_real ax = o->rotation[2], ay = o->rotation[5], az = o->rotation[8];
-  const dbk_real length = o->half[2], radius = o->radius;
+  const dbk_real half = o->half[2], radius = o->radius;
   for (int32_t i = 0; i < count; ++i) {
-    const dbk_real vx = x[i] - px, vy = y[i] - py, vz = z[i] - pz;
-    const dbk_real along = vx * ax + vy * ay + vz * az;
-    const dbk_real low = along < length ? along : length;
-    const dbk_real t = low > -length ? low : -length;
-    const dbk_real wx = vx - t * ax, wy = vy - t * ay, wz = vz - t * az;
-    const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
-    const dbk_real inverse = (dbk_real)1 / (far > TINY ? far : TINY);
-    d[i] = far - radius;
-    nx[i] = wx * inverse;
-    ny[i] = wy * inverse;
-    nz[i] = far > TINY ? wz * inverse : (dbk_real)1; /* on the axis: any way out will do */
+    d[i] = dbk_off_segment(x[i] - px, y[i] - py, z[i] - pz, ax, ay, az, half, &nx[i], &ny[i], &nz[i]) - radius;
   }
 }
 
@@ -48,7 +36,7 @@ static void leave_box(const dbk_obstacle *o, const dbk_real local[3], dbk_real *
   *nz = sign * o->rotation[6 + face];
 }
 
-static void to_box(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
+static inline void to_box(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
                    const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
                    dbk_real *restrict nz) {
   const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
@@ -61,14 +49,14 @@ static void to_box(const dbk_obstacle *o, int32_t count, const dbk_real *restric
     const dbk_real ux = lx < hx ? lx : hx, uy = ly < hy ? ly : hy, uz = lz < hz ? lz : hz;
     const dbk_real wx = lx - (ux > -hx ? ux : -hx), wy = ly - (uy > -hy ? uy : -hy), wz = lz - (uz > -hz ? uz : -hz);
     const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
-    const dbk_real inverse = (dbk_real)1 / (far > TINY ? far : TINY);
+    const dbk_real inverse = (dbk_real)1 / (far > DBK_TINY ? far : DBK_TINY);
     d[i] = far;
     nx[i] = (r0 * wx + r1 * wy + r2 * wz) * inverse;
     ny[i] = (r3 * wx + r4 * wy + r5 * wz) * inverse;
     nz[i] = (r6 * wx + r7 * wy + r8 * wz) * inverse;
   }
   for (int32_t i = 0; i < count; ++i) {
-    if (!(d[i] > TINY)) {
+    if (!(d[i] > DBK_TINY)) {
       const dbk_real vx = x[i] - px, vy = y[i] - py, vz = z[i] - pz;
       const dbk_real local[3] = {r0 * vx + r3 * vy + r6 * vz, r1 * vx + r4 * vy + r7 * vz, r2 * vx + r5 * vy + r8 * vz};
       leave_box(o, local, d + i, nx + i, ny + i, nz + i);
@@ -77,7 +65,7 @@ static void to_box(const dbk_obstacle *o, int32_t count, const dbk_real *restric
 }
 
 /* everything below the plane through the pose with normal local z */
-static void to_half_space(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
+static inline void to_half_space(const dbk_obstacle *o, int32_t count, const dbk_real *restrict x, const dbk_real *restrict y,
                           const dbk_real *restrict z, dbk_real *restrict d, dbk_real *restrict nx, dbk_real *restrict ny,
                           dbk_real *restrict nz) {
   const dbk_real px = o->position[0], py = o->position[1], pz = o->position[2];
@@ -90,7 +78,7 @@ static void to_half_space(const dbk_obstacle *o, int32_t count, const dbk_real *
   }
 }
 
-void dbk_distance(const dbk_obstacle *shape, int32_t count, const dbk_real *x, const dbk_real *y, const dbk_real *z,
+DBK_WIDE void dbk_distance(const dbk_obstacle *shape, int32_t count, const dbk_real *x, const dbk_real *y, const dbk_real *z,
                   dbk_real *d, dbk_real *nx, dbk_real *ny, dbk_real *nz) {
   if (shape->shape == DBK_CAPSULE) {
     to_capsule(shape, count, x, y, z, d, nx, ny, nz);

@@ -4,6 +4,16 @@
 
 #include "dbk/dbk.h"
 
+#if DBK_MAX_OBSTACLES % DBK_LANES != 0 || DBK_MAX_ROWS % DBK_LANES != 0
+#error "DBK_MAX_OBSTACLES and DBK_MAX_ROWS are multiples of DBK_LANES"
+#endif
+
+/* A host's build may have the loops over pairs and rows compiled twice, for the vectors of its newer processors too, the
+ * faster being chosen when the program is loaded. Order and rounding of every operation, hence every bit, stay the same. */
+#ifndef DBK_WIDE
+#define DBK_WIDE
+#endif
+
 static inline dbk_real dbk_abs(dbk_real x) { return x < (dbk_real)0 ? -x : x; }
 static inline dbk_real dbk_min(dbk_real a, dbk_real b) { return a < b ? a : b; }
 static inline dbk_real dbk_max(dbk_real a, dbk_real b) { return a > b ? a : b; }

@@ -1,6 +1,6 @@
 /* How every sphere moves under the controls of the box: velocity and acceleration at the middle of the box, and how far
  * any control of the box can change the velocity. This is what tells which rows may bind in this step. */
-#include "dbk_math.h"
+#include "dbk_pair.h"
 
 typedef struct {
   dbk_real w[3], v[3], dw[3], dv[3]; /* spatial velocity and acceleration about the base origin at constant u */
@@ -40,11 +40,14 @@ static void add_turn(const spatial *parent, const dbk_real z[3], const dbk_real 
   }
 }
 
-/* centre velocity v + w x c and acceleration dv + dw x c + w x (centre velocity) of the spheres first..last-1 */
-static void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_t last, dbk_motion *out) {
+/* centre velocity v + w x c and acceleration dv + dw x c + w x (centre velocity) of the spheres first..last-1. The loop
+ * runs on to a full vector: what it writes behind `last` is written again by the next frame, or never read. */
+static void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_t last, dbk_motion *restrict out) {
   const dbk_real wx = t->w[0], wy = t->w[1], wz = t->w[2], vx = t->v[0], vy = t->v[1], vz = t->v[2];
   const dbk_real ax = t->dw[0], ay = t->dw[1], az = t->dw[2], bx = t->dv[0], by = t->dv[1], bz = t->dv[2];
-  for (int32_t s = first; s < last; ++s) {
+  const int32_t count = DBK_PADDED(last - first);
+  for (int32_t i = 0; i < count; ++i) {
+    const int32_t s = first + i;
     const dbk_real x = cloud->x[s], y = cloud->y[s], z = cloud->z[s];
     const dbk_real ux = vx + (wy * z - wz * y), uy = vy + (wz * x - wx * z), uz = vz + (wx * y - wy * x);
     out->vx[s] = ux;
@@ -56,42 +59,72 @@ static void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_
   }
 }
 
-/* one ball around the spheres of a link, and the greatest speed among them */
-static void bound(const dbk_cloud *cloud, int32_t first, int32_t last, dbk_real half_period, int32_t link,
-                  dbk_motion *out) {
-  dbk_real lo[3] = {cloud->x[first], cloud->y[first], cloud->z[first]};
-  dbk_real hi[3] = {lo[0], lo[1], lo[2]};
-  for (int32_t s = first; s < last; ++s) {
-    lo[0] = dbk_min(lo[0], cloud->x[s]);
-    hi[0] = dbk_max(hi[0], cloud->x[s]);
-    lo[1] = dbk_min(lo[1], cloud->y[s]);
-    hi[1] = dbk_max(hi[1], cloud->y[s]);
-    lo[2] = dbk_min(lo[2], cloud->z[s]);
-    hi[2] = dbk_max(hi[2], cloud->z[s]);
+/* velocities and accelerations of all spheres; neighbouring links of one frame are taken together */
+static void move_all(const dbk_model *model, const dbk_scene *scene, const spatial *chain, dbk_ctx *ctx) {
+  int32_t end = 0;
+  for (int32_t l = 0; l <= model->n_links; l = end) {
+    const int32_t frame = dbk_link_frame(model, l);
+    end = l + 1;
+    while (end <= model->n_links && dbk_link_frame(model, end) == frame) { ++end; }
+    const int32_t first = dbk_first_sphere(model, l), last = dbk_last_sphere(model, scene, end - 1);
+    if (first < last) { move(&chain[frame], &ctx->cloud, first, last, &ctx->motion); }
   }
-  const dbk_real half = (dbk_real)0.5;
-  const dbk_real cx = half * (lo[0] + hi[0]), cy = half * (lo[1] + hi[1]), cz = half * (lo[2] + hi[2]);
-  dbk_real radius = (dbk_real)0, speed = (dbk_real)0;
-  for (int32_t s = first; s < last; ++s) {
-    const dbk_real x = cloud->x[s] - cx, y = cloud->y[s] - cy, z = cloud->z[s] - cz;
-    const dbk_real vx = out->vx[s], vy = out->vy[s], vz = out->vz[s];
-    const dbk_real ax = out->ax[s], ay = out->ay[s], az = out->az[s];
-    radius = dbk_max(radius, dbk_sqrt(x * x + y * y + z * z) + cloud->r[s]);
-    speed = dbk_max(speed, dbk_sqrt(vx * vx + vy * vy + vz * vz) + out->spread[s] +
-                               half_period * dbk_sqrt(ax * ax + ay * ay + az * az));
-  }
-  out->bound_x[link] = cx;
-  out->bound_y[link] = cy;
-  out->bound_z[link] = cz;
-  out->bound_r[link] = radius + DBK_CULL_FLOOR * (dbk_real)0.01;
-  out->speed[link] = speed;
 }
 
-void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
-  spatial chain[DBK_MAX_DOF + 1] = {{{0}, {0}, {0}, {0}}};
-  const int32_t total = ctx->cloud.count;
+/* greatest speed of every sphere, and what its acceleration can add to a row's right side */
+static void hurry(const dbk_motion *m, int32_t total, dbk_real half_period, dbk_real *restrict speed,
+                  dbk_real *restrict bend) {
+  const int32_t count = DBK_PADDED(total);
+  for (int32_t s = 0; s < count; ++s) {
+    const dbk_real vx = m->vx[s], vy = m->vy[s], vz = m->vz[s], ax = m->ax[s], ay = m->ay[s], az = m->az[s];
+    bend[s] = half_period * dbk_sqrt(ax * ax + ay * ay + az * az);
+    speed[s] = dbk_sqrt(vx * vx + vy * vy + vz * vz) + m->spread[s] + bend[s];
+  }
+}
+
+/* where the ball around a link is now; far from the origin rounding is larger, and so is the ball */
+static void place_ball(const dbk_frames *frames, const dbk_cloud *cloud, const dbk_ball *ball, int32_t frame,
+                       int32_t first, int32_t link, dbk_motion *out) {
+  const dbk_real *r = frames->rotation[frame];
+  const dbk_real x = cloud->x[first] + (r[0] * ball->x + r[1] * ball->y + r[2] * ball->z);
+  const dbk_real y = cloud->y[first] + (r[3] * ball->x + r[4] * ball->y + r[5] * ball->z);
+  const dbk_real z = cloud->z[first] + (r[6] * ball->x + r[7] * ball->y + r[8] * ball->z);
+  const dbk_real rounding = (dbk_real)1e-6 * (dbk_abs(x) + dbk_abs(y) + dbk_abs(z));
+  out->bound_x[link] = x;
+  out->bound_y[link] = y;
+  out->bound_z[link] = z;
+  out->bound_r[link] = ball->radius + rounding;
+  out->inner[link] = ball->inner + rounding;
+}
+
+/* balls and greatest speeds of the links */
+static void bound_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+  dbk_real speed[DBK_SPHERE_ROOM], bend[DBK_SPHERE_ROOM];
   dbk_motion *out = &ctx->motion;
-  for (int32_t s = 0; s < total; ++s) { out->spread[s] = (dbk_real)0; }
+  hurry(out, ctx->cloud.count, (dbk_real)0.5 * model->period, speed, bend);
+  for (int32_t l = 0; l <= model->n_links; ++l) {
+    const int32_t first = dbk_first_sphere(model, l), last = dbk_last_sphere(model, scene, l);
+    out->speed[l] = out->bend[l] = (dbk_real)0;
+    for (int32_t s = first; s < last; ++s) {
+      out->speed[l] = dbk_max(out->speed[l], speed[s]);
+      out->bend[l] = dbk_max(out->bend[l], bend[s]);
+    }
+    if (first < last) {
+      const dbk_ball *ball = l == model->n_links ? &scene->held_ball : &model->ball[l];
+      place_ball(&ctx->frames, &ctx->cloud, ball, dbk_link_frame(model, l), first, l, out);
+    } else {
+      out->bound_x[l] = out->bound_y[l] = out->bound_z[l] = out->bound_r[l] = out->inner[l] = (dbk_real)0;
+    }
+  }
+}
+
+DBK_WIDE void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+  spatial chain[DBK_MAX_DOF + 1];
+  const spatial still = {{0}, {0}, {0}, {0}};
+  const int32_t count = DBK_PADDED(ctx->cloud.count);
+  dbk_motion *out = &ctx->motion;
+  chain[0] = still; /* the base */
+  for (int32_t s = 0; s < count; ++s) { out->spread[s] = (dbk_real)0; }
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real *r = ctx->frames.rotation[k + 1];
     const dbk_real z[3] = {r[2], r[5], r[8]};
@@ -103,17 +136,16 @@ void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
     } else {
       add_turn(&chain[k], z, ctx->frames.origin[k + 1], middle, &chain[k + 1]);
     }
-    for (int32_t s = 0; s < total; ++s) { out->spread[s] += wide * reach[s]; }
+    out->wide[k] = wide;
+    out->fast[k] = dbk_abs(middle) + wide;
+    for (int32_t s = 0; s < count; ++s) { out->spread[s] += wide * reach[s]; }
   }
-  for (int32_t l = 0; l <= model->n_links; ++l) {
-    const int32_t held = l == model->n_links;
-    const int32_t first = held ? model->n_spheres : model->link_first[l];
-    const int32_t last = held ? model->n_spheres + scene->n_held : model->link_first[l + 1];
-    if (first < last) {
-      move(&chain[held ? model->n : model->link_frame[l]], &ctx->cloud, first, last, out);
-      bound(&ctx->cloud, first, last, (dbk_real)0.5 * model->period, l, out);
-    } else {
-      out->bound_x[l] = out->bound_y[l] = out->bound_z[l] = out->bound_r[l] = out->speed[l] = (dbk_real)0;
+  for (int32_t k = 0; k <= model->n; ++k) {
+    for (int32_t e = 0; e < 3; ++e) {
+      out->twist[k][e] = chain[k].w[e];
+      out->twist[k][3 + e] = chain[k].v[e];
     }
   }
+  move_all(model, scene, chain, ctx);
+  bound_links(model, scene, ctx);
 }

@@ -42,6 +42,12 @@ enum { DBK_REVOLUTE, DBK_PRISMATIC };
 /* what is given up last when no control meets all rows; the box is never given up */
 enum { DBK_RANK_BODY = 1, DBK_RANK_OBSTACLE, DBK_RANK_WORKSPACE, DBK_RANK_TASK };
 
+/* a ball around all spheres of a link: centre from that of the link's first sphere, in the link's frame */
+typedef struct {
+  dbk_real x, y, z, radius;
+  dbk_real inner; /* least |centre of a sphere - centre of the ball| - its radius: the link comes at least that near */
+} dbk_ball;
+
 typedef struct {
   int32_t n; /* joints */
   dbk_real period, alpha, alpha_self, alpha_joint, recovery, sampling, rounding, self_margin, lag, tracking; /* s, 1/s, m/s, m, s, rad/s */
@@ -59,8 +65,10 @@ typedef struct {
   dbk_real x[DBK_MAX_SPHERES], y[DBK_MAX_SPHERES], z[DBK_MAX_SPHERES], radius[DBK_MAX_SPHERES]; /* in the link's frame */
   dbk_real slide_x[DBK_MAX_SPHERES], slide_y[DBK_MAX_SPHERES], slide_z[DBK_MAX_SPHERES]; /* shift per metre of opening */
   /* filled by dbk_prepare */
-  dbk_real reach[DBK_MAX_DOF][DBK_ALL_SPHERES]; /* longest lever arm of joint k on a sphere, any posture [m] */
+  dbk_real reach[DBK_MAX_DOF][DBK_SPHERE_ROOM]; /* longest lever arm of joint k on a sphere, any posture [m] */
+  dbk_real link_reach[DBK_MAX_DOF][DBK_ALL_LINKS]; /* the longest among a link's spheres */
   int32_t sphere_frame[DBK_ALL_SPHERES];
+  dbk_ball ball[DBK_MAX_LINKS];
 } dbk_model;
 
 typedef struct {
@@ -73,6 +81,18 @@ typedef struct {
   dbk_real reaction, brake, approach; /* speed and separation: s, m/s^2 (0: off), least speed of the person m/s */
 } dbk_obstacle;
 
+/* a capsule around every obstacle but half-spaces, one array per number, so that a link meets all in one loop */
+typedef struct {
+  dbk_real x[DBK_MAX_OBSTACLES], y[DBK_MAX_OBSTACLES], z[DBK_MAX_OBSTACLES];
+  dbk_real ax[DBK_MAX_OBSTACLES], ay[DBK_MAX_OBSTACLES], az[DBK_MAX_OBSTACLES], half[DBK_MAX_OBSTACLES];
+  dbk_real radius[DBK_MAX_OBSTACLES], margin[DBK_MAX_OBSTACLES], alpha[DBK_MAX_OBSTACLES];
+  dbk_real vx[DBK_MAX_OBSTACLES], vy[DBK_MAX_OBSTACLES], vz[DBK_MAX_OBSTACLES];
+  dbk_real error[DBK_MAX_OBSTACLES], speed[DBK_MAX_OBSTACLES]; /* of the velocity; the obstacle's own at most */
+  uint32_t parts[DBK_MAX_OBSTACLES];                           /* none behind the last obstacle */
+  int32_t known[DBK_MAX_OBSTACLES], moving[DBK_MAX_OBSTACLES], rank[DBK_MAX_OBSTACLES];
+  int32_t plain[DBK_MAX_OBSTACLES]; /* the capsule is the obstacle, and no speed and separation is asked for */
+} dbk_covers;
+
 typedef struct {
   int32_t ready; /* set by dbk_scene_prepare */
   int32_t n_obstacles, n_held, moving;
@@ -82,6 +102,9 @@ typedef struct {
   dbk_real held_error;
   int32_t n_user, user_rank[DBK_MAX_USER];
   dbk_real user_a[DBK_MAX_USER][DBK_MAX_DOF], user_b[DBK_MAX_USER], user_h[DBK_MAX_USER]; /* a'u >= b */
+  /* filled by dbk_scene_prepare */
+  dbk_covers covers;
+  dbk_ball held_ball;
 } dbk_scene;
 
 typedef struct {
@@ -109,14 +132,15 @@ typedef struct {
   dbk_real rotation[DBK_MAX_DOF + 1][9], origin[DBK_MAX_DOF + 1][3];
 } dbk_frames;
 
-/* rows, one array per joint so that loops over rows vectorise */
+/* rows, one array per joint so that loops over rows vectorise; of rows that lie side by side and are moved by the same
+ * joints, a span tells the first row and the joints from..upto-1 */
 typedef struct {
   int32_t count, overflow, stuck, unavoidable;
+  int32_t n_spans, span_first[DBK_MAX_SPANS + 1], span_from[DBK_MAX_SPANS], span_upto[DBK_MAX_SPANS];
   dbk_real a[DBK_MAX_DOF][DBK_MAX_ROWS], b[DBK_MAX_ROWS]; /* unit rows */
   dbk_real h[DBK_MAX_ROWS], norm[DBK_MAX_ROWS];
   dbk_real nx[DBK_MAX_ROWS], ny[DBK_MAX_ROWS], nz[DBK_MAX_ROWS], mx[DBK_MAX_ROWS], my[DBK_MAX_ROWS], mz[DBK_MAX_ROWS];
   dbk_real soft[DBK_MAX_ROWS];
-  int32_t from[DBK_MAX_ROWS], upto[DBK_MAX_ROWS];         /* joints from..upto-1 move the pair */
   int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
   int32_t rank[DBK_MAX_ROWS];
 } dbk_rows;
@@ -128,17 +152,21 @@ typedef struct {
 } dbk_visits;
 
 typedef struct {
-  dbk_real x[DBK_ALL_SPHERES], y[DBK_ALL_SPHERES], z[DBK_ALL_SPHERES], r[DBK_ALL_SPHERES];
+  dbk_real x[DBK_SPHERE_ROOM], y[DBK_SPHERE_ROOM], z[DBK_SPHERE_ROOM], r[DBK_SPHERE_ROOM];
   int32_t count;
 } dbk_cloud;
 
 /* how sphere centres move under the middle of the box, and how much the box can change that */
 typedef struct {
-  dbk_real vx[DBK_ALL_SPHERES], vy[DBK_ALL_SPHERES], vz[DBK_ALL_SPHERES];
-  dbk_real ax[DBK_ALL_SPHERES], ay[DBK_ALL_SPHERES], az[DBK_ALL_SPHERES];
-  dbk_real spread[DBK_ALL_SPHERES];
+  dbk_real vx[DBK_SPHERE_ROOM], vy[DBK_SPHERE_ROOM], vz[DBK_SPHERE_ROOM];
+  dbk_real ax[DBK_SPHERE_ROOM], ay[DBK_SPHERE_ROOM], az[DBK_SPHERE_ROOM];
+  dbk_real spread[DBK_SPHERE_ROOM];
+  dbk_real fast[DBK_MAX_DOF], wide[DBK_MAX_DOF]; /* greatest |u| of the box, and half its width, with the tracking error */
+  dbk_real twist[DBK_MAX_DOF + 1][6];            /* of every frame about the base origin: angular, linear */
   dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
+  dbk_real inner[DBK_ALL_LINKS]; /* see dbk_ball */
   dbk_real speed[DBK_ALL_LINKS]; /* no sphere of the link can be faster within the box */
+  dbk_real bend[DBK_ALL_LINKS];  /* nor ask for more because of its acceleration: half a period times that [m/s] */
 } dbk_motion;
 
 typedef struct {

@@ -24,7 +24,7 @@ typedef float dbk_real;
 #define DBK_MAX_PAIRS 96 /* link pairs that are kept apart */
 #endif
 #ifndef DBK_MAX_OBSTACLES
-#define DBK_MAX_OBSTACLES 48
+#define DBK_MAX_OBSTACLES 48 /* a multiple of DBK_LANES */
 #endif
 #ifndef DBK_MAX_ROWS
 #define DBK_MAX_ROWS 512 /* rows that may bind in one step; a multiple of DBK_LANES */
@@ -38,9 +38,14 @@ typedef float dbk_real;
 #define DBK_MAX_VISITS 1024 /* groups of pairs that one step could bring to h = 0 */
 #endif
 
-#define DBK_LANES 8
+#ifndef DBK_LANES
+#define DBK_LANES 8 /* a power of two; 1 where the processor has no vectors. The answers are the same. */
+#endif
+#define DBK_PADDED(count) (((count) + DBK_LANES - 1) & ~(DBK_LANES - 1)) /* so many that vectors are full */
 #define DBK_ALL_SPHERES (DBK_MAX_SPHERES + DBK_MAX_HELD)
+#define DBK_SPHERE_ROOM (DBK_ALL_SPHERES + DBK_LANES) /* loops over a link's spheres may run on to a full vector */
 #define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)
+#define DBK_MAX_SPANS (DBK_ALL_LINKS + DBK_MAX_PAIRS + DBK_MAX_LINKS)
 #define DBK_QP_DIM (DBK_MAX_DOF + 1) /* joints and one slack */
 #define DBK_QP_CAP 80                /* iterations of the active set; reaching it is a fault */
 

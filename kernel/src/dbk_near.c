@@ -1,0 +1,126 @@
+/* Which obstacles matter for which links: the ball around a link against the capsule around an obstacle. A pair is left
+ * out only when, by this lower bound of h, no control of the box can violate any of its rows, h is above the floor, and
+ * another pair is nearer, so that h_min is not found here. Everything is rounded toward looking again. */
+#include "dbk_pair.h"
+
+/* obstacles moved on by the age of the scene; error and dials of the filter become margins */
+DBK_WIDE void dbk_surroundings(const dbk_model *model, const dbk_scene *scene, dbk_real age, dbk_real extra,
+                               int32_t known_only, dbk_surround *restrict out) {
+  const dbk_covers *c = &scene->covers;
+  out->lanes = DBK_PADDED(scene->n_obstacles);
+  out->age = age;
+  out->extra = extra;
+  out->known_only = known_only;
+  for (int32_t o = 0; o < out->lanes; ++o) {
+    out->x[o] = c->x[o] + c->vx[o] * age;
+    out->y[o] = c->y[o] + c->vy[o] * age;
+    out->z[o] = c->z[o] + c->vz[o] * age;
+    out->margin[o] = c->margin[o] + c->error[o] * age + model->sampling + model->rounding + extra;
+    out->alpha[o] = c->alpha[o] > (dbk_real)0 ? c->alpha[o] : model->alpha;
+  }
+}
+
+/* v_max from d = v_h (T_r + T_s) + v T_r + v^2 / (2 a), T_s = v / a: the speed toward a person at which the robot still
+ * stops in time; 0 when even a robot at rest is too near */
+dbk_real dbk_separation_speed(const dbk_obstacle *o, dbk_real d, dbk_real person) {
+  const dbk_real late = o->reaction + person / o->brake, spare = d - person * o->reaction;
+  if (!(spare > (dbk_real)0)) { return (dbk_real)0; }
+  return o->brake * (dbk_sqrt(late * late + (dbk_real)2 * spare / o->brake) - late);
+}
+
+/* lower bounds of h between every sphere of a link and the capsules */
+static inline void capsule_gaps(const dbk_covers *c, const dbk_surround *s, const dbk_motion *m, int32_t link,
+                                dbk_real held_error, dbk_real *restrict gap) {
+  const dbk_real px = m->bound_x[link], py = m->bound_y[link], pz = m->bound_z[link];
+  const dbk_real off = m->bound_r[link] + held_error;
+  for (int32_t o = 0; o < s->lanes; ++o) {
+    dbk_real nx, ny, nz;
+    const dbk_real d = dbk_off_segment(px - s->x[o], py - s->y[o], pz - s->z[o], c->ax[o], c->ay[o], c->az[o],
+                                       c->half[o], &nx, &ny, &nz);
+    gap[o] = d - c->radius[o] - s->margin[o] - off;
+  }
+}
+
+/* a half-space is flat: its distance to the middle of the ball is exact */
+static void half_space_gaps(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                            const dbk_surround *s, dbk_real gap[DBK_ALL_LINKS][DBK_MAX_OBSTACLES]) {
+  const dbk_motion *m = &ctx->motion;
+  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
+    if (scene->obstacle[o].shape != DBK_HALF_SPACE) { continue; }
+    const dbk_covers *c = &scene->covers;
+    for (int32_t l = 0; l <= model->n_links; ++l) {
+      if (!dbk_takes_part(model, scene, l)) { continue; }
+      const dbk_real held_error = l == model->n_links ? scene->held_error : (dbk_real)0;
+      const dbk_real x = m->bound_x[l] - s->x[o], y = m->bound_y[l] - s->y[o], z = m->bound_z[l] - s->z[o];
+      gap[l][o] = x * c->ax[o] + y * c->ay[o] + z * c->az[o] - s->margin[o] - m->bound_r[l] - held_error;
+    }
+  }
+}
+
+/* no pair of this link with an open capsule can be farther than this: the innermost sphere of the ball is that near */
+static inline dbk_real nearest_at_most(const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s, int32_t link,
+                                       const dbk_real *gap) {
+  const dbk_covers *c = &scene->covers;
+  const dbk_real depth = m->bound_r[link] + m->inner[link];
+  const int32_t known_only = s->known_only;
+  dbk_real least[DBK_LANES];
+  for (int32_t i = 0; i < DBK_LANES; ++i) { least[i] = DBK_BEYOND; }
+  for (int32_t base = 0; base < s->lanes; base += DBK_LANES) {
+    for (int32_t i = 0; i < DBK_LANES; ++i) {
+      const int32_t o = base + i;
+      const int32_t open = (int32_t)(c->parts[o] >> link & 1u) & c->plain[o] & (c->known[o] | !known_only) &
+                           (scene->permit[link][o] < (dbk_real)0);
+      const dbk_real h = open ? gap[o] + depth : DBK_BEYOND;
+      least[i] = h < least[i] ? h : least[i];
+    }
+  }
+  for (int32_t i = 1; i < DBK_LANES; ++i) { least[0] = dbk_min(least[0], least[i]); }
+  return least[0];
+}
+
+/* 1 where the obstacle matters for the link */
+static inline void mark(const dbk_model *model, const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s,
+                        int32_t link, const dbk_real *gap, dbk_real h_min, int32_t *restrict near) {
+  const dbk_covers *c = &scene->covers;
+  const dbk_real speed = m->speed[link], sampling = model->sampling;
+  const int32_t known_only = s->known_only;
+  for (int32_t o = 0; o < s->lanes; ++o) {
+    const dbk_real h = gap[o];
+    const int32_t open = (int32_t)(c->parts[o] >> link & 1u) & (c->known[o] | !known_only);
+    const int32_t safe = (h > DBK_CULL_FLOOR) & (s->alpha[o] * h >= c->speed[o] + speed) & (h + sampling >= h_min);
+    near[o] = open & !safe;
+  }
+}
+
+/* speed and separation may ask for more than the barrier does */
+static void mark_separation(const dbk_model *model, const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s,
+                            dbk_real gap[DBK_ALL_LINKS][DBK_MAX_OBSTACLES], dbk_nearby *out) {
+  for (int32_t o = 0; o < scene->n_obstacles; ++o) {
+    const dbk_obstacle *it = &scene->obstacle[o];
+    if (!(it->brake > (dbk_real)0) || (s->known_only && !(it->flags & DBK_KNOWN))) { continue; }
+    const dbk_real person = dbk_max(it->approach, scene->covers.speed[o]);
+    for (int32_t l = 0; l <= model->n_links; ++l) {
+      if (!dbk_takes_part(model, scene, l)) { continue; }
+      const int32_t safe = dbk_separation_speed(it, gap[l][o], person) >= m->speed[l];
+      out->near[l][o] |= (int32_t)(it->parts >> l & 1u) & !safe;
+    }
+  }
+}
+
+DBK_WIDE void dbk_find_near(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx,
+                            const dbk_surround *around, dbk_nearby *out) {
+  dbk_real gap[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
+  dbk_real h_min = DBK_BEYOND;
+  for (int32_t l = 0; l <= model->n_links; ++l) {
+    if (!dbk_takes_part(model, scene, l)) { continue; }
+    const dbk_real held_error = l == model->n_links ? scene->held_error : (dbk_real)0;
+    capsule_gaps(&scene->covers, around, &ctx->motion, l, held_error, gap[l]);
+    h_min = dbk_min(h_min, nearest_at_most(scene, &ctx->motion, around, l, gap[l]));
+  }
+  h_min += model->sampling;
+  half_space_gaps(model, scene, ctx, around, gap);
+  for (int32_t l = 0; l <= model->n_links; ++l) {
+    if (dbk_takes_part(model, scene, l)) { mark(model, scene, &ctx->motion, around, l, gap[l], h_min, out->near[l]); }
+  }
+  mark_separation(model, scene, &ctx->motion, around, gap, out);
+}

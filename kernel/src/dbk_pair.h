@@ -1,0 +1,118 @@
+/* What the row builders share: one pair of a moving sphere and another thing, and the batch that pairs are weighed in. */
+#ifndef DBK_PAIR_H
+#define DBK_PAIR_H
+
+#include "dbk_math.h"
+
+#define DBK_BATCH (DBK_SPHERE_ROOM > DBK_MAX_OBSTACLES ? DBK_SPHERE_ROOM : DBK_MAX_OBSTACLES)
+#define DBK_TINY ((dbk_real)1e-6)  /* [m] nearer than this the direction is rounding noise */
+#define DBK_ROUNDED ((dbk_real)1e-5) /* [m/s] more than the rounding of a row's right side */
+#define DBK_BEYOND ((dbk_real)10)  /* [m] farther than any robot here reaches */
+
+/* pairs that are weighed together, one array per number: h, normal, right side, and the room that the worst control of the
+ * box leaves. One side of the pairs is the same for all: the moving sphere, or (`sphere` < 0) the other thing; `index` is
+ * what varies. Both are named as in dbk_active. */
+typedef struct {
+  int32_t count, kind, sphere, other;
+  int32_t from, upto; /* joints that move the pairs */
+  dbk_real h[DBK_BATCH], nx[DBK_BATCH], ny[DBK_BATCH], nz[DBK_BATCH], rhs[DBK_BATCH], room[DBK_BATCH];
+  int32_t index[DBK_BATCH], keep[DBK_BATCH], yielding[DBK_BATCH];
+} dbk_batch;
+
+/* the moving sphere: radius, velocity and acceleration at the middle of the box, how much the box can change the former */
+typedef struct {
+  dbk_real r, vx, vy, vz, ax, ay, az, spread;
+} dbk_mover;
+
+/* the other thing */
+typedef struct {
+  dbk_real margin, alpha, cap, error, half_period, vx, vy, vz;
+} dbk_terms;
+
+typedef struct {
+  dbk_real h, rhs, room;
+} dbk_weight;
+
+/* distance and outward normal of a segment of half length `half` along (ax, ay, az), at (x, y, z) from its middle */
+static inline dbk_real dbk_off_segment(dbk_real x, dbk_real y, dbk_real z, dbk_real ax, dbk_real ay, dbk_real az,
+                                       dbk_real half, dbk_real *nx, dbk_real *ny, dbk_real *nz) {
+  const dbk_real along = x * ax + y * ay + z * az;
+  const dbk_real low = along < half ? along : half;
+  const dbk_real t = low > -half ? low : -half;
+  const dbk_real wx = x - t * ax, wy = y - t * ay, wz = z - t * az;
+  const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
+  const dbk_real inverse = (dbk_real)1 / (far > DBK_TINY ? far : DBK_TINY);
+  *nx = wx * inverse;
+  *ny = wy * inverse;
+  *nz = far > DBK_TINY ? wz * inverse : (dbk_real)1; /* on the axis: any way out will do */
+  return far;
+}
+
+/* h, right side, and the room that the worst control of the box leaves, of a sphere at distance d along normal n */
+static inline dbk_weight dbk_weigh(const dbk_mover *m, const dbk_terms *t, dbk_real d, dbk_real nx, dbk_real ny,
+                                   dbk_real nz) {
+  const dbk_real h = d - m->r - t->margin;
+  const dbk_real wanted = -t->alpha * h;
+  const dbk_real barrier = wanted < t->cap ? wanted : t->cap;
+  const dbk_real bend = -t->half_period * (nx * m->ax + ny * m->ay + nz * m->az);
+  const dbk_real drift = nx * t->vx + ny * t->vy + nz * t->vz;
+  const dbk_real rhs = barrier + drift + t->error + (bend > (dbk_real)0 ? bend : (dbk_real)0);
+  const dbk_real rate = nx * m->vx + ny * m->vy + nz * m->vz;
+  const dbk_weight w = {h, rhs, rate - m->spread - rhs};
+  return w;
+}
+
+/* may a control of the box violate the row, or is the pair too near to be left out? NaN is kept, and fails the check */
+static inline int32_t dbk_binds(const dbk_weight *w, int32_t permitted) {
+  const int32_t violable = !(w->room >= (dbk_real)0), near = !(w->h >= DBK_CULL_FLOOR);
+  return violable | (near & !permitted);
+}
+
+static inline int32_t dbk_first_sphere(const dbk_model *model, int32_t link) {
+  return link == model->n_links ? model->n_spheres : model->link_first[link];
+}
+
+/* one behind the last sphere of a link; link n_links is what is held */
+static inline int32_t dbk_last_sphere(const dbk_model *model, const dbk_scene *scene, int32_t link) {
+  return link == model->n_links ? model->n_spheres + scene->n_held : model->link_first[link + 1];
+}
+
+static inline int32_t dbk_link_frame(const dbk_model *model, int32_t link) {
+  return link == model->n_links ? model->n : model->link_frame[link];
+}
+
+/* frame 0 is bolted down, and a link without spheres meets nothing */
+static inline int32_t dbk_takes_part(const dbk_model *model, const dbk_scene *scene, int32_t link) {
+  return dbk_link_frame(model, link) > 0 && dbk_first_sphere(model, link) < dbk_last_sphere(model, scene, link);
+}
+
+/* obstacles where they are at this moment, and what the rows take off their distance */
+typedef struct {
+  dbk_real x[DBK_MAX_OBSTACLES], y[DBK_MAX_OBSTACLES], z[DBK_MAX_OBSTACLES];
+  dbk_real margin[DBK_MAX_OBSTACLES], alpha[DBK_MAX_OBSTACLES];
+  int32_t lanes; /* obstacles, up to a full vector */
+  dbk_real age, extra;
+  int32_t known_only;
+} dbk_surround;
+
+/* which obstacles matter for which links that take part */
+typedef struct {
+  int32_t near[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
+} dbk_nearby;
+
+/* dbk_near.c */
+void dbk_surroundings(const dbk_model *model, const dbk_scene *scene, dbk_real age, dbk_real extra, int32_t known_only,
+                      dbk_surround *out);
+void dbk_find_near(const dbk_model *model, const dbk_scene *scene, const dbk_ctx *ctx, const dbk_surround *around,
+                   dbk_nearby *out);
+dbk_real dbk_separation_speed(const dbk_obstacle *o, dbk_real d, dbk_real person);
+
+/* dbk_meet.c, dbk_self.c */
+void dbk_meet_obstacles(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around);
+void dbk_meet_self(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra);
+
+/* dbk_rows.c */
+void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batch *w);
+void dbk_remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other);
+
+#endif
