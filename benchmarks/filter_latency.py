@@ -48,11 +48,9 @@ def units(*, quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
     able = [c for c in CONTESTANTS if c.primitives]
     everybody |= {f"primitives:{n}": lambda n=n: latency.measure("primitives", n, able, full) for n in PRIMITIVES}
     one_each = [c for c in able if not c.ours or c.name == OWN]
+    everybody["infeasible"] = lambda: {"infeasible": trials.infeasible(one_each)}
     driven = [c for c in CONTESTANTS if c.gains]
-    return everybody | {
-        "infeasible": lambda: {"infeasible": trials.infeasible(one_each)},
-        "clearance": lambda: {"clearance": trials.clearance(driven)},
-    }
+    return everybody | {f"clearance:{c.name}": lambda c=c: {"clearance": trials.clearance([c])} for c in driven}
 
 
 def done() -> dict[str, dict[str, Any]]:

@@ -35,10 +35,10 @@ def _origin(whole: dict[str, Any]) -> str:
     revisions = sorted({unit["revision"] for unit in units})
     kernels = sorted({unit["kernel"] for unit in units})
     dates = sorted({unit["date"] for unit in units})
-    loads = ", ".join(f"{unit['unit']} {unit['load']:.1f}" for unit in units)
+    loads = ", ".join(f"{unit['unit']} {unit['load']:.1f}" for unit in units if unit["pairs"])
     return (
         f"*Measured {' to '.join(dates[:1] + dates[1:][-1:])}, revision {', '.join(revisions)}, kernel "
-        f"{', '.join(kernels)}; {units[0]['machine']}. Load average when each unit began: {loads}. "
+        f"{', '.join(kernels)}; {units[0]['machine']}. Load average when each size began: {loads}. "
         f"Rendered {datetime.now(UTC).date().isoformat()}.*"
     )
 
