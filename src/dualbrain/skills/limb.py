@@ -5,8 +5,8 @@ A story yields one `Nominal` a tick and returns None when it went well or the `E
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
+from dualbrain.skills.foresight import LEAVING, Foresight, Goal
 from dualbrain.skills.inverse_kinematics import InverseKinematics
 from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
@@ -43,15 +44,6 @@ PERSON_PATIENCE = 20.0
 """How long [s] a skill waits for a person before it says so and fails."""
 
 
-@dataclass(frozen=True, slots=True)
-class Goal:
-    """A tool pose to reach: position (3,) [m], rotation (3, 3), and the joint posture (n,) [rad] that suits it."""
-
-    position: Array
-    rotation: Array
-    posture: Array
-
-
 class Limb:
     """One arm with its gripper, as the skills move it. State: φ's memory, the grip, and the current senses."""
 
@@ -63,9 +55,10 @@ class Limb:
         self.opening = body.gripper.opening.value
         self.force = body.gripper.force_min.value
         self._phi = ResolvedRate(body, motion)
-        self._motion = motion
+        self._foresight = Foresight(body, motion)
         self._senses: Senses | None = None
         self._touches: dict[str, tuple[Touch, ...]] = {}
+        self._known: tuple[str, ...] = ()
         self._looked_at: tuple[float, float, float, bool] | None = None
         self._threat: float | None = None
 
@@ -94,6 +87,7 @@ class Limb:
             if obstacle is not None:
                 touches.setdefault(permit.phase, []).append(Touch(permit.robot_part, obstacle, permit.speed))
         self._touches = {phase: tuple(pairs) for phase, pairs in touches.items()}
+        self._known = tuple(name for name in others.values() if name)
 
     @property
     def support(self) -> SceneObject | None:
@@ -205,6 +199,22 @@ class Limb:
         """The most comfortable way to put the tool at `position` with one of `rotations`; None when out of reach."""
         best = self.kinematics.best(position, rotations, self.senses.state.q)
         return None if best is None else Goal(position, *best)
+
+    def air(self, start: Array | None, points: Sequence[Goal], phase: str, opening: float | None = None) -> float:
+        """Least room [m] to anything perceived, beyond the errors, on the way from posture `start` through `points`.
+
+        From where the arm is when `start` is None; then what is near it now does not count, nor do contacts that
+        `phase` needs. Each finger is opened by `opening` [m], or as it is.
+        """
+        if start is None:
+            postures = self._foresight.way(self.senses.state.q, points)
+            postures = postures[min(LEAVING, len(postures) - 1) :]
+        else:
+            postures = self._foresight.way(start, points)
+        fingers = self.senses.state.opening if opening is None else opening
+        held = self.holding.name if self.holding else None
+        touches = self._touches.get(phase, ())
+        return self._foresight.clearance(postures, fingers, self.senses.scene, held, self._known, touches)
 
     def shifted(self, goal: Goal, position: Array) -> Goal:
         """`goal` moved to another position with the same rotation, its posture solved anew where possible."""

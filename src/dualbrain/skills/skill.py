@@ -96,6 +96,10 @@ class Motion(Protocol):
         """Forward kinematics of the tool."""
         ...
 
+    def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
+        """Centres (k, 3) [m], radii (k,) [m] and group of every sphere of the body, those of a held thing last."""
+        ...
+
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
         """The closest control to `u_wish` that respects known things, limits, and the box around `u_nom_prev`."""
         ...

@@ -1,0 +1,130 @@
+"""Foresight: distances against sampling, what counts, and the choice of the clearest."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.linalg import matrix
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose, Scene, SceneObject, Sphere
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.obstacles import solid
+from dualbrain.skills.foresight import AIR, NEARER, Foresight, clearest
+from dualbrain.skills.limb import Goal
+from dualbrain.skills.outline import distance, outline
+from dualbrain.skills.skill import Touch
+
+BODY = load_body("panda")
+SAFETY = SafetyFilter(BODY)
+HOME = at_home(BODY).q
+size = st.floats(0.01, 0.2)
+solids = st.one_of(st.builds(Sphere, size), st.builds(Capsule, size, size), st.builds(Box, st.tuples(size, size, size)))
+shapes = st.one_of(solids, st.builds(Cylinder, size, size), st.builds(lambda r, h: Bowl(r, h, 0.004), size, size))
+poses = st.builds(
+    lambda p, q: Pose(p, tuple(np.array(q) / np.linalg.norm(q))),
+    st.tuples(*[st.floats(-0.5, 0.5)] * 3),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+)
+
+
+def seen(shape, pose=None, name="thing", role="object", error=0.0):
+    return SceneObject(name, role, shape, pose or Pose((0.0, 0.0, 0.0)), error=error)
+
+
+def scene(*things):
+    return Scene("panda", 0.0, 1, things)
+
+
+def room(*things, postures=(HOME,), **others):
+    return Foresight(BODY, SAFETY).clearance(postures, 0.02, scene(*things), others.pop("held", None), **others)
+
+
+@given(shapes, poses)
+def test_the_outline_is_what_the_filter_sees(shape, pose):
+    found, expected = outline(seen(shape, pose)), solid(shape, pose)
+    assert found[0] == expected[0]
+    assert np.allclose(found[1].position, expected[1].position)
+
+
+@settings(max_examples=40)
+@given(solids, poses)
+def test_a_distance_is_that_to_the_nearest_surface_point(shape, pose):
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1.0, 1.0, (20, 3))
+    local = (points - pose.position) @ matrix(pose.quaternion)
+    radius = 0.0
+    match shape:
+        case Sphere(radius):
+            inside = np.zeros_like(local)
+        case Capsule(radius, half):
+            inside = np.column_stack([0 * local[:, :2], np.clip(local[:, 2], -half, half)])
+        case Box(core):
+            inside = np.clip(local, -np.array(core), core)
+    outside = np.linalg.norm(local - inside, axis=1) - radius
+    got = distance((shape, pose), points)
+    assert np.allclose(got[outside > 0], outside[outside > 0])
+    assert np.all(got[outside <= 0] <= 1e-12)
+
+
+def test_the_least_room_is_that_of_the_nearest_sphere():
+    centres, radii, _ = SAFETY.spheres(HOME, 0.02)
+    post = Pose((0.55, 0.3, 0.4))
+    away = np.linalg.norm(centres[3:] - post.position, axis=1) - radii[3:] - 0.05
+    assert room(seen(Sphere(0.05), post, error=0.01)) == pytest.approx(away.min() - 0.01)
+
+
+def test_people_the_held_thing_and_the_bolted_base_do_not_count():
+    at = Pose(tuple(SAFETY.tool(HOME).position))
+    far = seen(Sphere(0.01), Pose((0.0, 2.0, 0.0)))
+    assert room(seen(Sphere(0.1), at, role="person"), far) == room(far)
+    assert room(seen(Sphere(0.1), at, "cube"), far, held="cube") == room(far)
+    assert room(seen(HalfSpace(), name="table", role="support")) > 0.0
+
+
+def test_a_part_may_touch_what_its_phase_needs():
+    tool = SAFETY.tool(HOME).position
+    cube = seen(Box((0.02, 0.02, 0.02)), Pose(tuple(tool)))
+    spared = room(cube, touches=(Touch("fingers", "thing", 0.05),))
+    assert room(cube) < 0.0
+    assert spared > 0.005
+    assert room(cube, touches=(Touch("fingers", "other", 0.05),)) == room(cube)
+    assert room(cube, known=("thing",)) == pytest.approx(room(cube) + NEARER)
+
+
+def test_a_way_leads_there_in_small_steps():
+    tool = SAFETY.tool(HOME)
+    aim = Goal(tool.position + np.array([0.05, 0.25, -0.1]), tool.rotation, HOME)
+    way = Foresight(BODY, SAFETY).way(HOME, [aim])
+    places = np.array([SAFETY.tool(q).position for q in way])
+    assert np.linalg.norm(places[-1] - aim.position) < 0.004
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.02
+
+
+def test_a_wall_on_the_way_is_foreseen():
+    tool = SAFETY.tool(HOME)
+    wall = seen(Box((0.2, 0.01, 0.3)), Pose((0.5, 0.25, 0.3)))
+    aim = Goal(tool.position + np.array([0.0, 0.4, 0.0]), tool.rotation, HOME)
+    start, end = room(wall), room(wall, postures=Foresight(BODY, SAFETY).way(HOME, [aim]))
+    assert start > 0.05
+    assert end < 0.0
+
+
+@given(st.lists(st.floats(-0.1, 0.1), max_size=8))
+def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms):
+    asked = []
+
+    def air(index):
+        asked.append(index)
+        return rooms[index]
+
+    choice, most = clearest(range(len(rooms)), air)
+    clear = [index for index, one in enumerate(rooms) if one >= AIR]
+    if clear:
+        assert choice == clear[0]
+        assert asked == list(range(clear[0] + 1))
+    elif rooms:
+        assert rooms[choice] == most == max(rooms)
+    else:
+        assert choice is None
