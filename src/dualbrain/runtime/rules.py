@@ -11,7 +11,7 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
 from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
-from dualbrain.skills.grasp import grasp_goal, station
+from dualbrain.skills.grasp_pose import grasp_goal, station
 from dualbrain.skills.limb import Limb
 
 LEVEL = 0.7

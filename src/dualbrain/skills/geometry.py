@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dualbrain.linalg import matrix
 from dualbrain.records import Bowl, Box, Capsule, Cylinder, Pose, SceneObject, Shape, Sphere
@@ -12,6 +12,13 @@ Array = NDArray[np.float64]
 
 APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0)}
 """Angle of the tool's approach axis to straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
+
+
+def about(axis: ArrayLike, angle: float) -> Array:
+    """Rotation (3, 3) by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
 
 
 def half_height(shape: Shape, pose: Pose) -> float:

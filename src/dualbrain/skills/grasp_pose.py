@@ -1,0 +1,130 @@
+"""Where the hand goes to grasp a thing: as the contract has it, or a little otherwise where that would be too close."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.records import Bowl, Capsule, Cylinder, SceneObject, Sphere
+from dualbrain.skills import geometry
+from dualbrain.skills.limb import Goal, Limb, lifted
+
+Array = NDArray[np.float64]
+
+FINGER_DEPTH = {"top": 0.016, "tilted": 0.008, "side": 0.008}
+"""How far below a thing's top the tool may go [m]: the palm, 37 mm above the tool, keeps the filter's margins."""
+FINGER_ROOM = 0.010
+"""The open fingers want this much more than the width of the thing between them [m]."""
+YAW, LEAN, SWING = 0.2, 0.15, 0.4
+"""Steps by which a hand turns, leans, and an elbow swings, when the plain pose is too close to something [rad]."""
+STEPS = 2
+"""How many such steps a pose may be from the plain one."""
+
+
+OVER = 0.04
+"""Room between finger tips and the top of a thing when passing over it [m]."""
+BRINK = 0.03
+"""Height of the finger tips above a thing's top from which they come down gently [m]."""
+
+
+def grasp_height(body: Body, thing: SceneObject, approach: str) -> float:
+    """Tool height [m] that holds `thing` around its middle, not lower than finger tips and palm allow."""
+    low = geometry.bottom(thing) + body.gripper.pad_below_tool + 0.008
+    middle = thing.pose.position[2]
+    return max(low, middle, geometry.top(thing) - FINGER_DEPTH[approach])
+
+
+def grasp_goal(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Goal | None:
+    """The plain tool pose that grasps `thing`; None when it is out of reach."""
+    position, rotations = _plain(limb, thing, finger_axis, approach)
+    return limb.goal(position, rotations)
+
+
+def grasp_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+    """The plain pose, then poses a little otherwise; none when the plain one is out of reach."""
+    plain = grasp_goal(limb, thing, finger_axis, approach)
+    if plain is not None:
+        yield plain
+        yield from _near(limb, thing, finger_axis, approach)
+
+
+def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+    """Poses on the other finger axis and with another approach than asked for, where the fingers fit."""
+    other = {"along": "across", "across": "along"}[finger_axis]
+    for axis, lean in (
+        (other, approach),
+        (finger_axis, "top"),
+        (other, "top"),
+        (finger_axis, "tilted"),
+        (other, "tilted"),
+    ):
+        if (axis, lean) != (finger_axis, approach) and _fits(limb, thing, axis):
+            yield from _near(limb, thing, axis, lean)
+
+
+def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> float:
+    """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down."""
+    above = station(limb, at, thing, clearance)
+    if limb.kinematics.solve(above.position, above.rotation, (above.posture,)) is None:
+        return -np.inf
+    return limb.air(above.posture, [brink(limb, at, thing), at], "descend", limb.opening)
+
+
+def station(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
+    """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
+    tips = max(limb.floor + clearance, geometry.top(thing) + OVER)
+    up = lifted(brink(limb, at, thing), tips + limb.body.gripper.pad_below_tool)
+    return limb.shifted(up, up.position)
+
+
+def brink(limb: Limb, at: Goal, thing: SceneObject) -> Goal:
+    """The pose from which the fingers go on gently, back along the approach axis."""
+    height = geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool
+    axis = at.rotation[:, 2]
+    back = max(0.0, height - float(at.position[2])) / -axis[2]
+    return limb.shifted(at, at.position - back * axis)
+
+
+def _near(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+    position, rotations = _plain(limb, thing, finger_axis, approach)
+    for turn, rotation in product(_turns(thing), rotations):
+        goal = posed(limb, position, rotation, *turn)
+        if goal is not None:
+            yield goal
+
+
+def _turns(thing: SceneObject) -> list[tuple[float, float, float]]:
+    """Yaw, lean and elbow swing [rad], the least departure first; a round thing may be turned around freely."""
+    isround = isinstance(thing.shape, Cylinder | Sphere | Capsule | Bowl)
+    yaws = range(-7, 8) if isround else range(-STEPS, STEPS + 1)
+    counts = sorted(product(yaws, (-1, 0, 1), (-1, 0, 1)), key=lambda steps: (sum(map(abs, steps)), steps))
+    near = [(a, b, c) for a, b, c in counts if (abs(b) + abs(c) + (0 if isround else abs(a))) <= STEPS]
+    return [(a * YAW, b * LEAN, c * SWING) for a, b, c in near]
+
+
+def posed(limb: Limb, position: Array, rotation: Array, yaw: float, lean: float, swing: float) -> Goal | None:
+    """The goal turned by `yaw` about the vertical and by `lean` about the fingers' axis, its elbow by `swing`."""
+    turned = geometry.about((0.0, 0.0, 1.0), yaw) @ rotation
+    turned = geometry.about(turned[:, 1], lean) @ turned
+    start = limb.senses.state.q.copy()
+    start[0] -= swing
+    start[2] += swing
+    q = limb.kinematics.solve(position, turned, (start,))
+    return None if q is None else Goal(position, turned, q)
+
+
+def _fits(limb: Limb, thing: SceneObject, axis: str) -> bool:
+    """Whether the fingers, open as they are asked to be, go around `thing` on this axis, and it is level."""
+    return geometry.width(thing, axis) + FINGER_ROOM <= 2.0 * limb.opening and geometry.levelness(thing, axis) > 0.7
+
+
+def _plain(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> tuple[Array, list[Array]]:
+    """Position and rotations as the contract has them."""
+    x, y, _ = thing.pose.position
+    position = np.array([x, y, grasp_height(limb.body, thing, approach)])
+    outward = np.array([x, y, 0.0]) / (np.hypot(x, y) + 1e-9)
+    return position, geometry.grasp_rotations(geometry.finger_direction(thing, finger_axis), approach, outward)

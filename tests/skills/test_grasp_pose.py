@@ -1,0 +1,85 @@
+"""Where the hand goes: plainly when it stands free, a little otherwise beside a neighbour."""
+
+import numpy as np
+import pytest
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.records import Box, Cylinder, HalfSpace, Pose, Scene, SceneObject
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills import geometry, grasp
+from dualbrain.skills.foresight import AIR, clearest
+from dualbrain.skills.grasp_pose import brink, descent_room, grasp_choices, grasp_goal, other_choices, station
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Senses
+
+BODY = load_body("panda")
+TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+CUBE = SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.5, -0.2, 0.025)), error=0.009)
+BOTTLE = SceneObject("bottle", "object", Box((0.02, 0.03, 0.1)), Pose((0.595, -0.2, 0.1)), error=0.009)
+CLEARANCE = 0.15
+
+
+def limb(*neighbours):
+    """An arm at home that is about to grasp the cube."""
+    safety, state = SafetyFilter(BODY), at_home(BODY)
+    arm = Limb(BODY, safety)
+    arm.sense(Senses(state, Scene("panda", 0.0, 1, (TABLE, CUBE, *neighbours)), 0.0, safety.tool(state.q)))
+    arm.begin(grasp.spec(BODY), target="cube", support="table")
+    return arm
+
+
+def choose(arm, axis="along", approach="top"):
+    return clearest(grasp_choices(arm, CUBE, axis, approach), lambda at: descent_room(arm, at, CUBE, CLEARANCE))
+
+
+@pytest.mark.parametrize("approach", geometry.APPROACH_LEAN)
+@pytest.mark.parametrize("axis", ["along", "across"])
+def test_what_stands_free_is_grasped_plainly(axis, approach):
+    arm = limb()
+    at, room = choose(arm, axis, approach)
+    plain = grasp_goal(arm, CUBE, axis, approach)
+    assert room >= AIR
+    assert np.array_equal(at.rotation, plain.rotation)
+    assert np.array_equal(at.posture, plain.posture)
+
+
+def test_beside_a_neighbour_the_hand_gives_way():
+    arm = limb(BOTTLE)
+    plain = descent_room(arm, grasp_goal(arm, CUBE, "along", "top"), CUBE, CLEARANCE)
+    at, room = choose(arm)
+    assert plain < 0.0
+    assert room > plain + 0.005
+    assert np.allclose(at.position, grasp_goal(arm, CUBE, "along", "top").position)
+
+
+def test_a_way_that_was_not_asked_for_is_another_one():
+    arm = limb(BOTTLE)
+    asked = grasp_goal(arm, CUBE, "along", "top").rotation
+    for at in other_choices(arm, CUBE, "along", "top"):
+        same_axis = abs(at.rotation[:, 1] @ asked[:, 1]) > 0.9
+        assert not (same_axis and at.rotation[2, 2] < -np.cos(0.17))
+
+
+def test_what_is_too_wide_for_the_fingers_is_not_tried():
+    arm = limb()
+    arm.opening = 0.024
+    assert not list(other_choices(arm, CUBE, "along", "top"))
+
+
+def test_a_round_thing_may_be_taken_from_all_around():
+    arm = limb()
+    can = SceneObject("cube", "object", Cylinder(0.02, 0.025), CUBE.pose, error=0.009)
+    fingers = np.array([at.rotation[:2, 1] for at in grasp_choices(arm, can, "along", "top")])
+    angles = np.unique(np.round(np.arctan2(fingers[:, 1], fingers[:, 0]) % np.pi, 1))
+    assert len(angles) > 12
+
+
+def test_the_hand_comes_down_along_its_approach():
+    arm = limb()
+    at = grasp_goal(arm, CUBE, "along", "tilted")
+    low, above = brink(arm, at, CUBE), station(arm, at, CUBE, CLEARANCE)
+    back = low.position - at.position
+    assert np.allclose(back / np.linalg.norm(back), -at.rotation[:, 2])
+    assert np.allclose(above.position[:2], low.position[:2])
+    assert above.position[2] - BODY.gripper.pad_below_tool >= CLEARANCE - 1e-9
