@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.skills.foresight import clearest
 from dualbrain.skills.limb import BESIDE, CEILING, PERSON_PATIENCE, YIELDED, Goal, Limb, Part, lifted
 from dualbrain.skills.parameters import CONTACT_SPEED
 from dualbrain.skills.person import may_be_over
@@ -17,11 +19,14 @@ from dualbrain.skills.skill import Ending, Status
 Array = NDArray[np.float64]
 
 RETRY_AFTER = 1.0
-"""No progress for this long [s] makes a journey try another way, while one is left."""
+"""No progress for this long [s] makes a journey try a detour, while one is left."""
+DETOURS = (
+    (0.18, "direct"), (0.0, "near_base"), (0.05, "direct"), (0.1, "direct"), (0.0, "left"), (0.0, "right"),
+    (0.05, "near_base"), (0.1, "near_base"), (0.05, "left"), (0.05, "right"), (0.1, "left"), (0.1, "right"),
+)  # fmt: skip
+"""How far a blocked tool rises [m], and by which route it crosses then; the most telling first."""
 GENTLE = 0.9 * CONTACT_SPEED
 """Speed of the last stretch before a contact [m/s]."""
-RISE = 0.18
-"""How far a blocked tool rises to cross above [m]."""
 
 
 def arrive(
@@ -35,20 +40,23 @@ def arrive(
 
 
 def travel(limb: Limb, points: Sequence[Goal], phase: str, speed: float) -> Part:
-    """Pass through `points` to the last; when blocked, try over the top, then close by the base."""
-    start, end = limb.senses.tool.position.copy(), points[-1]
-    ways: list[Callable[[], list[Goal]]] = [
-        lambda: list(points),
-        lambda: _over_the_top(limb, end),
-        lambda: _by_the_base(limb, start, end),
-    ]
-    why: Ending | None = None
-    for index, way in enumerate(ways):
-        patience = STANDSTILL if index == len(ways) - 1 else RETRY_AFTER
-        why = yield from _pass_through(limb, way(), phase, speed, patience)
+    """Pass through `points` to the last; when blocked, by the first detour that looks clear, else the roomiest."""
+    start, end, left = limb.senses.tool.position.copy(), points[-1], list(DETOURS)
+    why = yield from _pass_through(limb, points, phase, speed, RETRY_AFTER)
+    for patience in (RETRY_AFTER, STANDSTILL):
         if why is None or why.status is not Status.TAKEN_OVER:
             break
+        detour = clearest(left, lambda detour: limb.air(None, _by(limb, start, end, detour), phase))[0] or left[0]
+        left.remove(detour)
+        why = yield from _pass_through(limb, _by(limb, start, end, detour), phase, speed, patience)
     return why
+
+
+def foreseen(limb: Limb, points: Sequence[Goal], phase: str) -> float:
+    """Room [m] on the way through `points` to the last, or on the detour that `travel` would take."""
+    start, end = limb.senses.tool.position.copy(), points[-1]
+    ways = chain([list(points)], (_by(limb, start, end, detour) for detour in DETOURS))
+    return clearest(ways, lambda way: limb.air(None, way, phase))[1]
 
 
 def come_down(
@@ -94,14 +102,13 @@ def _pass_through(limb: Limb, points: Sequence[Goal], phase: str, speed: float, 
     return None
 
 
-def _over_the_top(limb: Limb, end: Goal) -> list[Goal]:
-    """Straight up by 18 cm, across, down to the end."""
+def _by(limb: Limb, start: Array, end: Goal, detour: tuple[float, str]) -> list[Goal]:
+    """Straight up by the detour's rise, across by its route, down to the end."""
+    rise, route = detour
     here = limb.here()
-    height = min(max(float(here.position[2]) + RISE, float(end.position[2])), CEILING)
-    return [lifted(here, height), lifted(end, height), end]
-
-
-def _by_the_base(limb: Limb, start: Array, end: Goal) -> list[Goal]:
-    """Back to where the journey began to bend, round by the base, at the height of the end."""
-    via = bend(start, end.position, "near_base")
-    return [end] if via is None else [limb.shifted(end, via), end]
+    height = max(float(end.position[2]), min(max(float(here.position[2]), float(end.position[2])) + rise, CEILING))
+    high = lifted(end, height)
+    via = bend(start, high.position, route)
+    points = [lifted(here, height)] if rise else []
+    points += [limb.shifted(end, via)] if via is not None else []
+    return [*points, high, end] if rise else [*points, end]
