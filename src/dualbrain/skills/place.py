@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +12,9 @@ from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.records import Bowl, Scene
 from dualbrain.skills import geometry, parameters
-from dualbrain.skills.journey import arrive, come_down, travel, wait_for_people
+from dualbrain.skills.foresight import AIR, clearest
+from dualbrain.skills.grasp_pose import posed
+from dualbrain.skills.journey import arrive, come_down, foreseen, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, lifted
 from dualbrain.skills.route import bend
 from dualbrain.skills.skill import Ending, Status, Story
@@ -22,6 +27,12 @@ BRINK = 0.04
 """How far above its release height a load is lowered gently [m]."""
 AWAY = 0.08
 """How far the open hand rises before the skill ends [m]."""
+YAWS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.57)
+"""Turns about the vertical by which a load may be let go otherwise [rad] …"""
+ELBOWS = (0.0, 0.4, -0.4)
+"""… and swings of the elbow [rad]."""
+FREE = 0.045
+"""A hand that was kept from rising all the way has let go when it rose this far [m]."""
 TOUCH_DOWN = 0.004
 """Height above a support at which a thing is let go [m]."""
 
@@ -71,7 +82,9 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
     support = limb.support
     limb.begin(spec(limb.body), target=held.name, destination=destination, support=support.name if support else None)
     point, radius, room = spot(limb.senses.scene, destination)
-    down = _release_goal(limb, point + np.array([0.0, 0.0, room + held.below_tool]))
+    spot_down = point + np.array([0.0, 0.0, room + held.below_tool])
+    height = max(limb.floor + clearance + held.below_tool, float(spot_down[2]) + BRINK)
+    down = _release_goal(limb, spot_down, height, route, tilt=room == OVER_RIM)
     if down is None:
         return Ending(Status.FAILED, f"{destination} is out of reach")
     middle = (limb.senses.tool.position + point) / 2
@@ -79,7 +92,6 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         why := (yield from wait_for_people(limb, limb.here(), middle, 4.0, "carry", speed, reach=0.35))
     ):
         return why
-    height = max(limb.floor + clearance + held.below_tool, float(down.position[2]) + BRINK)
     above = lifted(down, height)
     if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)) or _lost(limb, held.name):
         return why
@@ -89,7 +101,9 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
         return why
     yield from limb.open(limb.body.gripper.opening.value)
     away = lifted(down, float(down.position[2]) + AWAY)
-    if why := (yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)):
+    why = yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)
+    risen = float(limb.senses.tool.position[2] - down.position[2])
+    if why and not (why.status is Status.TAKEN_OVER and risen > FREE):
         return why
     return _look(limb, held.name, destination, point, radius)
 
@@ -102,13 +116,41 @@ def _lost(limb: Limb, name: str) -> Ending | None:
     return Ending(Status.FAILED, f"carry: {name} was lost on the way")
 
 
-def _release_goal(limb: Limb, position: Array) -> Goal | None:
-    """Let go in the rotation held now, or turned with the arm's own swing when that lies more comfortably."""
+def _release_goal(limb: Limb, position: Array, height: float, route: str, *, tilt: bool) -> Goal | None:
+    """Where to let go at `position`, lowered from tool height `height` [m]: the clearest way of holding the hand."""
+
+    def air(goal: Goal) -> float:
+        """Down and up again; and, where that is clear, on the way there."""
+        away = lifted(goal, float(goal.position[2]) + AWAY)
+        room = limb.air(_at(limb, goal, height).posture, [goal, away], "lower")
+        return room if room < AIR else min(room, foreseen(limb, _way(limb, lifted(goal, height), route), "carry"))
+
+    return clearest(_release_choices(limb, position, tilt=tilt), air)[0]
+
+
+def _release_choices(limb: Limb, position: Array, *, tilt: bool) -> Iterator[Goal]:
+    """In the rotation held now, or turned with the arm's own swing when that lies more comfortably; or otherwise.
+
+    Turned about the vertical, the elbow swung, and with `tilt` leaning.
+    """
     here = limb.senses.tool
     swing = float(np.arctan2(position[1], position[0]) - np.arctan2(here.position[1], here.position[0]))
-    c, s = np.cos(swing), np.sin(swing)
-    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ here.rotation
-    return limb.goal(position, [here.rotation.copy(), turned])
+    turned = geometry.about((0.0, 0.0, 1.0), swing) @ here.rotation
+    plain = limb.goal(position, [here.rotation.copy(), turned])
+    if plain is None:
+        return
+    yield plain
+    leans = (0.0, 0.2, -0.2, 0.4, -0.4) if tilt else (0.0,)
+    for lean, yaw, elbow in product(leans, YAWS, ELBOWS):
+        goal = posed(limb, position, plain.rotation, yaw, lean, elbow)
+        if goal is not None:
+            yield goal
+
+
+def _at(limb: Limb, goal: Goal, height: float) -> Goal:
+    """`goal` at tool height `height` [m]."""
+    up = lifted(goal, height)
+    return limb.shifted(up, up.position)
 
 
 def _way(limb: Limb, end: Goal, route: str) -> list[Goal]:
