@@ -53,6 +53,42 @@ def test_the_filter_alone_keeps_a_careless_controller_from_crate_and_ball():
     assert any("'ball'" in line for line in lines)
 
 
+def test_cruise_control_keeps_its_headway_only_with_a_barrier_that_knows_the_brakes():
+    free, plain, braking = told("05_cruise_control").splitlines()
+    least = [float(line.split("1.8 v")[1].split("m")[0]) for line in (free, plain, braking)]
+    assert least[0] < -100.0
+    assert least[1] < -1.0
+    assert "relaxed" in plain
+    assert least[2] >= 0.0
+
+
+def test_a_unicycle_bends_round_the_disc_in_both_ways():
+    free, force, point = told("06_unicycle").splitlines()
+    gaps = [float(line.split("gap")[1].split("m")[0]) for line in (free, force, point)]
+    assert gaps[0] < 0.0 <= min(gaps[1:])
+    assert all(float(line.split("came")[1].split("m")[0]) > 8.0 for line in (force, point))
+    assert "relative degree 2" in force
+    assert "relative degree 1" in point
+
+
+def test_a_double_integrator_follows_the_closed_form():
+    first, *seconds, last = told("07_double_integrator").splitlines()
+    assert first == "relative degree 2"
+    assert float(last.split()[-2]) < 1e-9
+    assert len(seconds) == 5
+    for line in seconds:
+        p, exact = (float(line.split(word)[1].split("m")[0]) for word in (" p ", "exact"))
+        assert abs(p - exact) < 2e-3
+        assert p > 0.0
+
+
+def test_a_pendulum_leans_no_further_than_it_may():
+    first, filtered, free = told("08_inverted_pendulum").splitlines()
+    assert first.startswith("relative degrees (2, 2)")
+    assert 0.25 < float(filtered.split("leans")[1].split("rad")[0]) <= 0.3
+    assert free == "without: falls"
+
+
 def test_what_was_observed_is_prevented_when_the_filter_is_switched_on():
     text = told("09_observe_mode")
     assert "2 episodes" in text

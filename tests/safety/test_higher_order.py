@@ -1,0 +1,492 @@
+"""The acceleration filter: geometry against MuJoCo and differences, margin, box, closed loops and their teeth."""
+
+import msgspec
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.higher_order import AccelerationConfig, AccelerationFilter
+from dualbrain.safety.higher_order.gaps import Solids
+from dualbrain.safety.higher_order.limits import acceleration_box, limits_of
+from dualbrain.safety.higher_order.motion import Spheres
+from dualbrain.safety.obstacles import Obstacle, Separation
+from dualbrain.safety.result import Reason, Status
+
+from . import mjcf, oracle, scenes
+
+PANDA = load_body("panda")
+SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
+"""Every fourth sphere: same kinematics, a quarter of the work."""
+LIMITS = limits_of(PANDA)
+TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
+
+
+def moving(rng, body=PANDA, share=0.5):
+    """A posture inside the limits and velocities up to `share` of the fastest."""
+    limits = limits_of(body)
+    q = rng.uniform(limits.lower + 0.2, limits.upper - 0.2)
+    return q, share * rng.uniform(-limits.velocity, limits.velocity)
+
+
+def clutter(rng):
+    """One of each kind of solid, one of them moving."""
+    return [
+        TABLE,
+        Obstacle("ball", Sphere(0.1), Pose((0.5, 0.3, 0.5)), (0.3, -0.2, 0.1), velocity_error=0.05, static=False),
+        Obstacle("post", Capsule(0.05, 0.3), Pose((0.4, -0.4, 0.3), scenes.quaternion(rng)), margin=0.01),
+        Obstacle("crate", Box((0.1, 0.2, 0.15)), Pose((-0.4, 0.3, 0.3), scenes.quaternion(rng))),
+    ]  # fmt: skip
+
+
+# --- geometry -----------------------------------------------------------------------------------------------------
+
+
+def test_motion_of_the_spheres_agrees_with_mujoco(rng):
+    model = mujoco.MjModel.from_xml_string(mjcf.build(PANDA))
+    data = mujoco.MjData(model)
+    spheres, geoms = Spheres(PANDA), [model.geom(name).id for name in mjcf.sphere_names(PANDA)]
+
+    def jacobians(q):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        out = np.empty((len(geoms), 3, 7))
+        for k, geom in enumerate(geoms):
+            mujoco.mj_jacGeom(model, data, out[k], None, geom)
+        return out
+
+    for _ in range(5):
+        q, v = moving(rng, share=1.0)
+        motion, J = spheres.at(q, v, 0.0), jacobians(q)
+        np.testing.assert_allclose(motion.centres, data.geom_xpos[geoms], atol=1e-9)
+        np.testing.assert_allclose(motion.jacobian.transpose(0, 2, 1), J, atol=1e-9)
+        np.testing.assert_allclose(motion.velocities, J @ v, atol=1e-9)
+        eps = 1e-5
+        np.testing.assert_allclose(
+            motion.bias, (jacobians(q + eps * v) - jacobians(q - eps * v)) @ v / (2 * eps), atol=1e-6
+        )
+
+
+def test_no_lever_is_longer_than_its_reach(rng):
+    spheres = Spheres(PANDA)
+    for _ in range(200):
+        q = rng.uniform(LIMITS.lower, LIMITS.upper)
+        assert np.all(spheres.at(q, np.zeros(7), 0.04).levers <= spheres.reaches + 1e-12)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.2), Capsule(0.1, 0.3), Box((0.1, 0.2, 0.3)), HalfSpace()])
+def test_distances_bend_as_their_differences_say(shape, rng):
+    thing = Obstacle("it", shape, Pose((0.0, 0.0, 0.0), scenes.quaternion(rng)))
+    solids, eps, bent = Solids([thing]), 1e-4, 0
+    for _ in range(200):
+        point, w = rng.uniform(-0.6, 0.6, 3), rng.uniform(-1.0, 1.0, 3)
+        here, after, before = (
+            oracle.surface_distance(shape, thing.pose, p) for p in (point, point + eps * w, point - eps * w)
+        )
+        gaps = solids.measure(point[None, None], w[None, None], np.full((1, 1), eps * 2.0))
+        assert gaps.d[0, 0] - gaps.core[0] == pytest.approx(here, abs=1e-12)
+        if here < 0.02 or not gaps.steady[0, 0]:
+            continue
+        assert gaps.n[0, 0] @ w == pytest.approx((after - before) / (2 * eps), abs=1e-4)
+        assert gaps.kappa[0, 0] == pytest.approx((after - 2 * here + before) / eps**2, abs=2e-3)
+        bent += gaps.kappa[0, 0] > 1e-3
+    assert (bent > 30) != isinstance(shape, HalfSpace)
+
+
+def test_a_point_inside_a_box_or_on_an_axis_still_has_a_way_out():
+    things = [
+        Obstacle("box", Box((0.1, 0.2, 0.3)), Pose((0.0, 0.0, 0.0))),
+        Obstacle("ball", Sphere(0.1), Pose((0, 0, 0))),
+    ]
+    gaps = Solids(things).measure(np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), np.zeros((2, 1)))
+    for i, thing in enumerate(things[::-1]):  # balls come first
+        assert np.linalg.norm(gaps.n[i, 0]) == pytest.approx(1.0)
+        assert gaps.d[i, 0] - gaps.core[i] == pytest.approx(-0.1, abs=1e-8), thing.name
+
+
+def with_a_slide(body):
+    """The fourth joint slides instead of turning."""
+    joints = [msgspec.structs.replace(j, kind="prismatic") if k == 3 else j for k, j in enumerate(body.joints)]
+    return msgspec.structs.replace(body, joints=tuple(joints), spheres=body.spheres[::3])
+
+
+def all_rows(safety, q, v, age=0.0, wide=1e6):
+    """Every pair with its row, none culled."""
+    box = np.full(len(q), wide)
+    pairs = safety._pairs(q, v, age, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
+    kept, A, _ = safety._rows(pairs, np.full(len(pairs.h), -1e9), -box, box)
+    assert len(kept.h) == len(pairs.h)
+    return kept, A
+
+
+@pytest.mark.parametrize("body", [PANDA, with_a_slide(PANDA)], ids=["turning", "one slide"])
+def test_rows_agree_with_differences_of_h_along_motions(body, rng):
+    """With a vanishing period margins vanish: ḧ = A u + rest, for obstacles that move and for own parts."""
+    safety = AccelerationFilter(body, AccelerationConfig(period=1e-9))
+    checked = 0
+    for _ in range(4):
+        safety.observe(clutter(rng))
+        (q, v), u, age, eps = moving(rng, body), rng.uniform(-5.0, 5.0, 7), 0.02, 1e-4
+        pairs, A = all_rows(safety, q, v, age)
+        after, here, before = (
+            safety._pairs(q + v * t + 0.5 * u * t * t, v + u * t, age + t, 0.0, -u, u) for t in (eps, 0.0, -eps)
+        )
+        np.testing.assert_allclose(pairs.rate, (after.h - before.h) / (2 * eps), atol=2e-5)
+        slope, clear = (after.rate - before.rate) / (2 * eps), here.h > 0.0
+        jumps = np.abs((after.rate - here.rate) - (here.rate - before.rate)) > 1e-4  # the nearest feature changed
+        usable = clear & ~jumps
+        np.testing.assert_allclose((A @ u + pairs.rest)[usable], slope[usable], atol=5e-3)
+        checked += usable.sum()
+    assert checked > 500
+
+
+def test_h_is_the_judges(rng):
+    safety = AccelerationFilter(PANDA)
+    for _ in range(5):
+        q, v = moving(rng)
+        things = scenes.scene(PANDA, rng, 6)
+        safety.observe(things)
+        pairs = safety._pairs(q, v, 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
+        own = pairs.near >= 0
+        assert pairs.h[~own].min() == pytest.approx(oracle.h_obstacles(PANDA, q[None], things)[0], abs=1e-9)
+        assert pairs.h[own].min() == pytest.approx(oracle.h_self(PANDA, q[None])[0], abs=1e-9)
+
+
+# --- what the period may change -----------------------------------------------------------------------------------
+
+
+def test_the_margin_covers_the_period_and_is_needed(rng):
+    """ψ₁(s) ≥ ψ₁ + s (A u + rest + α₁ḣ) for every s in the period and every admissible u held; not so without m."""
+    dt = 0.01
+    safety = AccelerationFilter(PANDA, AccelerationConfig(period=dt))
+    free = AccelerationFilter(PANDA, AccelerationConfig(period=1e-12))
+    broken, a1 = 0, safety.alpha_1
+    for _ in range(12):
+        things = clutter(rng)
+        safety.observe(things)
+        free.observe(things)
+        q, v = moving(rng, share=rng.uniform(0.0, 1.0))
+        u = rng.choice([-1.0, 1.0], 7) * LIMITS.acceleration
+        pairs, A = all_rows(safety, q, v)
+        bare, _ = all_rows(free, q, v)
+        psi = pairs.rate + a1 * pairs.h
+        near = pairs.h > 0.0
+        for s in (0.25 * dt, 0.5 * dt, dt):
+            later, _ = all_rows(free, q + v * s + 0.5 * u * s * s, v + u * s, s)
+            there = later.rate + a1 * later.h
+            stays = near & (later.h > 0.0)
+            least = psi + s * (A @ u + pairs.rest + a1 * pairs.rate)
+            assert np.all((there - least)[stays] >= -1e-9)
+            hopeful = psi + s * (A @ u + bare.rest + a1 * bare.rate)
+            broken += np.sum((there - hopeful)[stays] < -1e-9)
+    assert broken > 100
+
+
+def test_culling_drops_no_row_that_can_bind(rng):
+    safety = AccelerationFilter(PANDA)
+    dropped = 0
+    for _ in range(10):
+        safety.observe(scenes.scene(PANDA, rng, 8))
+        q, v = moving(rng, share=rng.uniform(0.0, 0.6))
+        lower, upper = acceleration_box(LIMITS, q, v, safety.period, 0.05)
+        pairs = safety._pairs(q, v, 0.0, 0.0, lower, upper)
+        psi = pairs.rate + safety.alpha_1 * pairs.h
+        free = pairs.rest + safety.alpha_1 * pairs.rate + np.where(psi < 0, 1e3, safety.config.alpha_2) * psi
+        _, A, _ = safety._rows(pairs, np.full(len(free), -1e9), -np.full(7, 1e6), np.full(7, 1e6))
+        can_bind = np.minimum(A * lower, A * upper).sum(axis=1) + free < 0.0
+        assert safety(q, v, np.zeros(7)).n_rows == can_bind.sum()
+        assert np.all(free[can_bind] < pairs.authority[can_bind])
+        dropped += (~can_bind).sum()
+    assert dropped > 1000
+
+
+# --- the box of the joints ----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    q=st.floats(-0.99, 0.99), v=st.floats(-2.0, 2.0), dt=st.sampled_from([1e-3, 8e-3, 0.05]), seed=st.integers(0, 9999)
+)
+def test_the_box_keeps_a_joint_within_its_limits_and_gives_nothing_away(q, v, dt, seed):
+    limits = msgspec.structs.replace(
+        LIMITS, lower=-np.ones(1), upper=np.ones(1), velocity=np.full(1, 2.0), acceleration=np.full(1, 10.0)
+    )
+    v = float(np.clip(v, -np.sqrt(20.0 * (q + 1.0)), np.sqrt(20.0 * (1.0 - q))))  # it can stop from here
+    rng, x, w = np.random.default_rng(seed), np.array([q]), np.array([v])
+    for k in range(120):
+        lower, upper = acceleration_box(limits, x, w, dt, 0.05)
+        assert lower[0] <= upper[0]
+        assert max(-lower[0], upper[0]) <= 10.0
+        u = (lower, upper, upper, lower + (upper - lower) * rng.random())[k // 20 % 2 + 2 * (seed % 2)]
+        if w[0] * u[0] < 0.0 and abs(w[0] / u[0]) < dt:  # it turns round inside the step
+            assert abs(x[0] - 0.5 * w[0] ** 2 / u[0]) <= 1.0 + 1e-9
+        x, w = x + dt * w + 0.5 * dt * dt * u, w + dt * u
+        assert abs(x[0]) <= 1.0 + 1e-9
+        assert abs(w[0]) <= 2.0 + 1e-9
+
+
+def test_a_joint_beyond_its_limit_comes_back():
+    q, v, safety = np.array(PANDA.home), np.zeros(7), AccelerationFilter(PANDA)
+    q[3] = LIMITS.upper[3] + 0.02
+    for _ in range(500):
+        answer = safety(q, v, np.where(np.arange(7) == 3, 12.0, 0.0))
+        q, v = q + 1e-3 * v + 0.5e-6 * answer.u, v + 1e-3 * answer.u
+        assert v[3] <= 0.0 or q[3] <= LIMITS.upper[3]
+    assert abs(q[3] - LIMITS.upper[3]) <= 1e-5
+
+
+# --- closed loops -------------------------------------------------------------------------------------------------
+
+
+def adversary(safety, things, seed, steps, q=None, hold=400):
+    """Full acceleration toward the speed that closes one near pair (or bang-bang): postures, statuses, least ψ₁."""
+    rng, dt = np.random.default_rng(seed), safety.period
+    safety.observe(things)
+    q, v = np.array(safety.body.home if q is None else q, float), np.zeros(7)
+    log, statuses, least = np.empty((steps, 7)), [], np.inf
+    for k in range(steps):
+        if k % hold == 0:
+            pairs = safety._pairs(q, v, 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
+            near = np.flatnonzero((pairs.near >= 0) == (rng.random() < 0.3))
+            chosen = rng.choice(near[np.argsort(pairs.h[near])[:150]])
+            bang = rng.choice([-1.0, 1.0], 7) if rng.random() < 0.15 else None
+        if k % 20 == 0:
+            pairs, A = all_rows(safety, q, v)
+            goal = LIMITS.velocity * (-np.sign(A[chosen]) if bang is None else bang)
+        answer = safety(q, v, np.clip((goal - v) / dt, -LIMITS.acceleration, LIMITS.acceleration))
+        assert np.all(np.abs(answer.u) <= LIMITS.acceleration)
+        q, v = q + dt * v + 0.5 * dt * dt * answer.u, v + dt * answer.u
+        log[k], least = q, min(least, answer.psi_min)
+        statuses.append(answer.status)
+    return log, statuses, least
+
+
+def least_h(log, things, body=SMALL):
+    return min(
+        oracle.h_obstacles(body, log, things).min(), oracle.h_self(body, log).min(), oracle.h_joints(body, log).min()
+    )
+
+
+def holds(body, seed, steps, count=10):
+    things = scenes.scene(body, np.random.default_rng(seed), count)
+    log, statuses, least = adversary(AccelerationFilter(body), things, seed, steps)
+    assert least_h(log, things, body) >= -1e-12  # a joint stops on its limit up to rounding
+    assert least >= 0.0
+    assert max(statuses) is Status.MODIFIED
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_h_below_zero(seed):
+    holds(SMALL, seed, 1500)
+
+
+def test_no_h_below_zero_with_every_sphere():
+    holds(PANDA, 4, 500)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10, 20))
+def test_no_h_below_zero_in_a_hundred_thousand_steps(seed):
+    holds(PANDA, seed, 10_000, 14)
+
+
+def test_control_gains_beyond_the_acceleration_limits_fail():
+    """α₁ is eight times what the limits can follow at full speed: rows conflict when it is too late."""
+    things = scenes.scene(SMALL, np.random.default_rng(1), 14)
+    greedy = AccelerationFilter(SMALL, AccelerationConfig(alpha_1=8.0 * PANDA.alpha, alpha_2=60.0))
+    log, statuses, _ = adversary(greedy, things, 1, 1000, hold=500)
+    assert Status.RELAXED in statuses
+    assert least_h(log, things) < -1e-3
+
+
+def test_control_without_a_filter_fails():
+    things = [TABLE]
+    q, v, log = np.array(PANDA.home), np.zeros(7), []
+    for _ in range(1000):
+        u = np.clip(([0, 1.5, 0, 0, 0, 0, 0] - v) / 1e-3, -LIMITS.acceleration, LIMITS.acceleration)
+        q, v = q + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
+        log.append(q)
+    assert least_h(np.array(log), things) < -0.05
+
+
+def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
+    """The ball is seen again every 0.1 s; in between it is where its velocity takes it."""
+    ball = Obstacle("ball", Sphere(0.08), Pose((0.75, 0.0, 0.45)), velocity=(-0.2, 0.0, 0.0), static=False)
+    safety, q, v, dt = AccelerationFilter(SMALL), np.array(PANDA.home), np.zeros(7), 1e-3
+    log, shifts = [], np.zeros((1200, 1, 3))
+    shifts[:, 0, 0] = -0.2 * dt * np.arange(1, 1201)
+    for k in range(1200):
+        if k % 100 == 0:
+            seen = msgspec.structs.replace(ball, pose=Pose((0.75 - 0.2 * k * dt, 0.0, 0.45)))
+            safety.observe([TABLE, seen], stamp=k * dt)
+        answer = safety(q, v, -5.0 * v, now=k * dt)
+        assert answer.status <= Status.MODIFIED
+        q, v = q + dt * v + 0.5 * dt * dt * answer.u, v + dt * answer.u
+        log.append(q)
+    assert oracle.h_obstacles(SMALL, np.array(log), [ball], shifts=shifts).min() >= 0.0
+    stayed = np.tile(PANDA.home, (1200, 1))
+    assert oracle.h_obstacles(SMALL, stayed, [ball], shifts=shifts).min() < -0.03
+
+
+# --- a start outside the safe set ---------------------------------------------------------------------------------
+
+
+def falling(speed):
+    """The arm above a wall in front, moving toward it at `speed` of all it can: a state that is too fast for α₁."""
+    wall = Obstacle("wall", Box((0.02, 1.0, 1.0)), Pose((0.70, 0.0, 0.5)))
+    q = np.array(PANDA.home)
+    _, A = all_rows(filtered(wall), q, np.zeros(7))
+    pairs = filtered(wall)._pairs(q, np.zeros(7), 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
+    return wall, q, -speed * np.sign(A[np.argmin(np.where(pairs.near < 0, pairs.h, 9.0))]) * LIMITS.velocity
+
+
+def filtered(*things, body=PANDA):
+    safety = AccelerationFilter(body)
+    safety.observe(things)
+    return safety
+
+
+def run(safety, q, v, control, steps=200):
+    """Least h against the wall, and what the filter said, when `control` chooses of (answer, v)."""
+    log, said = [], []
+    for _ in range(steps):
+        answer = safety(q, v, LIMITS.acceleration * np.sign(v))
+        u = control(answer, q, v)
+        q, v = q + 1e-3 * v + 0.5e-6 * u, v + 1e-3 * u
+        log.append(q)
+        said.append(answer)
+    return np.array(log), said
+
+
+def braking(_, q, v):
+    lower, upper = acceleration_box(LIMITS, q, v, 1e-3, 0.05)
+    return np.clip(-v * min(1e3, 1.0 / max(np.max(np.abs(v) / LIMITS.acceleration), 1e-12)), lower, upper)
+
+
+def test_too_fast_toward_a_wall_is_told_and_restored_no_worse_than_by_braking():
+    wall, q, v = falling(0.8)
+    log, said = run(filtered(wall), q, v, lambda answer, *_: answer.u)
+    assert any("'wall'" in name for name in said[0].too_fast)
+    assert said[0].psi_min < 0.0 <= said[0].h_min
+    assert not said[0].certified
+    assert said[0].status is Status.RELAXED
+    assert "too fast toward" in said[0].explain()
+    restored = next(k for k, answer in enumerate(said) if not answer.too_fast)
+    braked = next(k for k, answer in enumerate(run(filtered(wall), q, v, braking)[1]) if not answer.too_fast)
+    assert restored <= braked
+    assert not any(answer.too_fast for answer in said[restored:])
+    assert all(answer.certified for answer in said[restored:])
+    assert oracle.h_obstacles(PANDA, log, [wall]).min() >= 0.0
+
+
+def test_no_row_is_met_worse_than_by_braking(rng):
+    relaxed = 0
+    for _ in range(20):
+        safety = filtered(*scenes.scene(PANDA, rng, 10))
+        q, v = moving(rng, share=0.9)
+        answer = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)
+        if answer.status is not Status.RELAXED:
+            continue
+        relaxed += 1
+        pairs, A = all_rows(safety, q, v)
+        psi = pairs.rate + safety.alpha_1 * pairs.h
+        gain = np.where(psi < 0.0, 1e3, safety.config.alpha_2)
+        wanted = -(pairs.rest + safety.alpha_1 * pairs.rate + gain * psi)
+        assert np.all(A @ answer.u >= np.minimum(wanted, A @ braking(None, q, v)) - 0.05)
+        assert answer.active
+        assert answer.given_up
+    assert relaxed > 4
+
+
+def test_a_start_inside_an_obstacle_is_left(rng):
+    q = np.array(PANDA.home)
+    centre = Spheres(PANDA).at(q, np.zeros(7), 0.0).centres[-1]
+    ball = Obstacle("ball", Sphere(0.03), Pose((*centre[:2], centre[2] - 0.03)))
+    log, said = run(filtered(ball), q, np.zeros(7), lambda answer, *_: answer.u, 400)
+    h = oracle.h_obstacles(PANDA, log, [ball])
+    assert h[0] < 0.0 <= h[-1]
+    assert any("'ball'" in name for name in said[0].inside)
+    assert "already inside" in said[0].explain()
+    assert np.all(np.diff(h[h < 0.0]) >= -1e-9)
+
+
+# --- what is returned when all is well, and when nothing is -------------------------------------------------------
+
+
+def test_what_is_strictly_safe_is_returned_bit_for_bit(rng):
+    safety = filtered(TABLE)
+    for _ in range(20):
+        u = 0.1 * rng.uniform(-1.0, 1.0, 7)
+        answer = safety(np.array(PANDA.home), np.zeros(7), u)
+        assert answer.status is Status.SAFE
+        assert np.array_equal(answer.u, u)
+        assert answer.delta == 0.0
+        assert answer.certified
+
+
+def test_an_answer_passes_again(rng):
+    safety = filtered(*scenes.scene(PANDA, rng, 8))
+    for _ in range(20):
+        q, v = moving(rng, share=0.15)
+        first = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)
+        if first.status is Status.MODIFIED:
+            np.testing.assert_allclose(safety(q, v, first.u).u, first.u, atol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_brakes(bad):
+    safety, q, v = filtered(TABLE), np.array(PANDA.home), np.full(7, 0.5)
+    safety(q, v, np.zeros(7))
+    for place in range(3):
+        given = [q.copy(), v.copy(), np.zeros(7)]
+        given[place][2] = bad
+        answer = safety(*given)
+        assert answer.status is Status.STOPPED
+        assert answer.reason is Reason.BAD_INPUT
+        assert np.isfinite(answer.u).all()
+        assert np.all(answer.u < 0.0)  # it brakes from the velocity last believed
+    assert safety(q, v, np.zeros(7), now=bad).status is Status.STOPPED
+
+
+def test_without_a_velocity_it_brakes_until_it_should_stand():
+    safety, v = filtered(TABLE), np.full(7, 0.3)
+    safety(np.array(PANDA.home), v, np.zeros(7))
+    for _ in range(200):
+        v = v + 1e-3 * safety(np.full(7, np.nan), np.full(7, np.nan), np.zeros(7)).u
+    np.testing.assert_allclose(v, 0.0, atol=1e-9)
+
+
+def test_a_scene_that_cannot_be_believed_stops():
+    q, v = np.array(PANDA.home), np.zeros(7)
+    assert filtered(Obstacle("x", Sphere(np.nan), Pose((1, 1, 1))))(q, v, v).reason is Reason.BAD_SCENE
+    safety = filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), static=False))
+    assert safety(q, v, v, now=0.4).status is Status.SAFE
+    assert safety(q, v, v, now=0.6).reason is Reason.STALE_SCENE
+    q[0] = LIMITS.upper[0] + 0.3
+    assert filtered()(q, v, v).reason is Reason.OUTSIDE_LIMITS
+
+
+def test_an_obstacle_may_concern_some_parts_only_and_have_its_own_gain():
+    things = [Obstacle("wall", Box((0.02, 1, 1)), Pose((0.8, 0, 0.5)), parts=("hand",), alpha=1.5)]
+    safety = filtered(*things)
+    pairs = safety._pairs(np.array(PANDA.home), np.zeros(7), 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
+    wall = pairs.near < 0
+    assert {safety._spheres.names[k] for k in pairs.far[wall]} == {"hand"}
+    assert set(pairs.alpha_1[wall]) == {1.5}
+
+
+def test_set_ups_that_cannot_be_used_say_why():
+    with pytest.raises(UnknownName):
+        filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), parts=("tail",)))
+    with pytest.raises(InvalidSetup, match="SafetyFilter"):
+        filtered(Obstacle("x", Sphere(0.1), Pose((1, 1, 1)), separation=Separation()))
+    with pytest.raises(InvalidSetup, match="gains"):
+        AccelerationFilter(PANDA, AccelerationConfig(alpha_2=2000.0))
+    with pytest.raises(InvalidSetup, match="fixed"):
+        AccelerationFilter(msgspec.structs.replace(PANDA, base="differential"))
+    with pytest.raises(InvalidSetup, match="7 numbers"):
+        filtered()(np.zeros(6), np.zeros(7), np.zeros(7))
