@@ -112,7 +112,10 @@ def cross(a: Array, b: Array) -> Array:
     """The product a × b over the last axis, with broadcasting."""
     a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
     b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], axis=-1)
+    x = a2 * b3 - a3 * b2
+    product = np.empty((*x.shape, 3))
+    product[..., 0], product[..., 1], product[..., 2] = x, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
+    return product
 
 
 def _sums(rows: Array) -> Array:

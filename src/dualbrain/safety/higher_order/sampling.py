@@ -48,7 +48,9 @@ def courses(spheres: Spheres, motion: Motion, v: Array, lower: Array, upper: Arr
 
 
 def _differences(sums: Array) -> Array:
-    return np.diff(sums, axis=-1, prepend=0.0)
+    steps = sums.copy()
+    steps[:, 1:] -= sums[:, :-1]
+    return steps
 
 
 def margin(course: Course, speed: Array, bends: Array, alpha_1: Array, dt: float) -> Array:
