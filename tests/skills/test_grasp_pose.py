@@ -9,8 +9,16 @@ from dualbrain.records import Box, Cylinder, HalfSpace, Pose, Scene, SceneObject
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills import geometry, grasp
 from dualbrain.skills.foresight import AIR, clearest
-from dualbrain.skills.grasp_pose import brink, descent_room, grasp_choices, grasp_goal, other_choices, station
-from dualbrain.skills.limb import Limb
+from dualbrain.skills.grasp_pose import (
+    brink,
+    comfortable_first,
+    descent_room,
+    grasp_choices,
+    grasp_goal,
+    other_choices,
+    station,
+)
+from dualbrain.skills.limb import Goal, Limb
 from dualbrain.skills.skill import Senses
 
 BODY = load_body("panda")
@@ -83,3 +91,13 @@ def test_the_hand_comes_down_along_its_approach():
     assert np.allclose(back / np.linalg.norm(back), -at.rotation[:, 2])
     assert np.allclose(above.position[:2], low.position[:2])
     assert above.position[2] - BODY.gripper.pad_below_tool >= CLEARANCE - 1e-9
+
+
+def test_poses_for_which_the_hand_turns_round_come_last():
+    arm = limb()
+    start = arm.senses.state.q
+    plain = grasp_goal(arm, CUBE, "along", "top")
+    pains = [0.0, 3.0, 0.5, 1.0, 4.0]
+    goals = [Goal(plain.position, plain.rotation, start + np.array([pain, 0, 0, 0, 0, 0, 0])) for pain in pains]
+    order = [float((goal.posture - start)[0]) for goal in comfortable_first(arm, goals)]
+    assert order == pytest.approx([0.0, 0.5, 1.0, 3.0, 4.0])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import product
+from collections.abc import Iterable, Iterator
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ STEPS = 2
 """How many such steps a pose may be from the plain one."""
 
 
+UNCOMFORTABLE = 1.6
+"""A pose this much less comfortable than the first is tried last [rad]."""
 OVER = 0.04
 """Room between finger tips and the top of a thing when passing over it [m]."""
 BRINK = 0.03
@@ -48,8 +50,7 @@ def grasp_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: st
     """The plain pose, then poses a little otherwise; none when the plain one is out of reach."""
     plain = grasp_goal(limb, thing, finger_axis, approach)
     if plain is not None:
-        yield plain
-        yield from _near(limb, thing, finger_axis, approach)
+        yield from comfortable_first(limb, chain([plain], _near(limb, thing, finger_axis, approach)))
 
 
 def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
@@ -63,7 +64,20 @@ def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: st
         (other, "tilted"),
     ):
         if (axis, lean) != (finger_axis, approach) and _fits(limb, thing, axis):
-            yield from _near(limb, thing, axis, lean)
+            yield from comfortable_first(limb, _near(limb, thing, axis, lean))
+
+
+def comfortable_first(limb: Limb, goals: Iterable[Goal]) -> Iterator[Goal]:
+    """`goals` in their order, but last those that lie far less comfortably than the first: half a turn of the hand."""
+    here, bound, later = limb.senses.state.q, np.inf, list[Goal]()
+    for goal in goals:
+        discomfort = limb.kinematics.discomfort(goal.posture, here)
+        bound = discomfort + UNCOMFORTABLE if bound == np.inf else bound
+        if discomfort <= bound:
+            yield goal
+        else:
+            later.append(goal)
+    yield from later
 
 
 def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> float:

@@ -43,13 +43,14 @@ class InverseKinematics:
         for index, rotation in enumerate(rotations):
             q = self.solve(position, rotation, (start,))
             if q is not None:
-                choices.append((self._discomfort(q, start), index, q))
+                choices.append((self.discomfort(q, start), index, q))
         if not choices:
             return None
         _, index, q = min(choices, key=lambda choice: choice[:2])
         return rotations[index], q
 
-    def _discomfort(self, q: Array, start: Array) -> float:
+    def discomfort(self, q: Array, start: Array) -> float:
+        """How far `q` (n,) lies from `start` and how close to a joint limit [rad]."""
         room = np.min(np.minimum(q - self._lower, self._upper - q))
         return float(np.linalg.norm(q - start) + 2.0 * np.exp(-4.0 * room))
 

@@ -13,7 +13,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.records import Bowl, Scene
 from dualbrain.skills import geometry, parameters
 from dualbrain.skills.foresight import AIR, clearest
-from dualbrain.skills.grasp_pose import posed
+from dualbrain.skills.grasp_pose import comfortable_first, posed
 from dualbrain.skills.journey import arrive, come_down, foreseen, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, lifted
 from dualbrain.skills.route import bend
@@ -125,7 +125,7 @@ def _release_goal(limb: Limb, position: Array, height: float, route: str, *, til
         room = limb.air(_at(limb, goal, height).posture, [goal, away], "lower")
         return room if room < AIR else min(room, foreseen(limb, _way(limb, lifted(goal, height), route), "carry"))
 
-    return clearest(_release_choices(limb, position, tilt=tilt), air)[0]
+    return clearest(comfortable_first(limb, _release_choices(limb, position, tilt=tilt)), air)[0]
 
 
 def _release_choices(limb: Limb, position: Array, *, tilt: bool) -> Iterator[Goal]:
