@@ -144,6 +144,17 @@ def test_rows_agree_with_differences_of_h_along_motions(body, rng):
     assert checked > 500
 
 
+def test_motion_that_carries_both_parts_alike_changes_nothing_between_them(rng):
+    safety, q = AccelerationFilter(PANDA), np.array(PANDA.home)
+    for moved in range(1, 6):  # joints 1..moved turn, all else rests
+        v = np.where(np.arange(7) < moved, LIMITS.velocity, 0.0)
+        still, carried = (safety._pairs(q, w, 0.0, 0.0, -np.ones(7), np.ones(7)) for w in (0.0 * v, v))
+        together = safety._spheres.frames[still.near] >= moved
+        assert together.any()
+        np.testing.assert_allclose(carried.rate[together], 0.0, atol=1e-9)
+        np.testing.assert_allclose(carried.rest[together], still.rest[together], atol=1e-9)
+
+
 def test_h_is_the_judges(rng):
     safety = AccelerationFilter(PANDA)
     for _ in range(5):

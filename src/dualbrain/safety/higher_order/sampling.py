@@ -31,11 +31,14 @@ class Course(msgspec.Struct, frozen=True, eq=False):
 
 
 def courses(spheres: Spheres, motion: Motion, v: Array, lower: Array, upper: Array, dt: float) -> tuple[Course, ...]:
-    """One `Course` for each frame 0..n from which spheres may be watched, for q̈ in the box [lower, upper] (n,)."""
+    """One `Course` for each frame 0..n from which spheres may be watched, for q̈ in the box [lower, upper] (n,).
+
+    Only joints beyond j change the lever about j, each no faster than its velocity times its own longest lever.
+    """
     U = np.maximum(np.abs(lower), np.abs(upper))
     V = np.maximum(np.abs(v), np.maximum(np.abs(v + dt * lower), np.abs(v + dt * upper)))
     later = spheres.reaches * V
-    growth = spheres.reaches * np.cumsum(V) + later[:, ::-1].cumsum(axis=1)[:, ::-1] - later
+    growth = later[:, ::-1].cumsum(axis=1)[:, ::-1] - later
     levers = np.minimum(motion.levers + dt * growth, spheres.reaches)
     seen = np.arange(spheres.n) >= np.arange(spheres.n + 1)[:, None]
     T, S = np.cumsum(V * seen, axis=1), np.cumsum(U * seen, axis=1)
