@@ -22,6 +22,7 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
   }
   for (int32_t k = 0; k < n; ++k) {
     const dbk_real y = in->q[k] + model->lag * in->v[k];
+    if (!dbk_finite(y)) { continue; } /* told already */
     if (!(y >= model->q_lower[k] - DBK_FAR_OUTSIDE && y <= model->q_upper[k] + DBK_FAR_OUTSIDE)) {
       flags |= DBK_OUTSIDE;
     }
@@ -65,6 +66,17 @@ static int32_t recall(const dbk_model *model, const dbk_ctx *ctx, int32_t ids[DB
   return count;
 }
 
+/* which of its limits a bound of the box comes from */
+static int32_t limit_of(const dbk_model *model, const dbk_ctx *ctx, int32_t k, int32_t upper) {
+  const dbk_real sign = upper ? (dbk_real)1 : (dbk_real)-1, dt = model->period;
+  const dbk_real bound = sign * (upper ? ctx->upper[k] : ctx->lower[k]), last = sign * ctx->u_prev[k];
+  const dbk_real step = model->a_max[k] * dt, near = (dbk_real)1e-3 * step;
+  const dbk_real jerk = last + sign * ctx->change[k] + model->j_max[k] * dt * dt;
+  if (bound >= model->v_max[k] - near) { return DBK_LIMIT_VELOCITY; }
+  if (bound >= last + step - near) { return DBK_LIMIT_ACCELERATION; }
+  return model->j_max[k] > (dbk_real)0 && dbk_abs(bound - jerk) <= near ? DBK_LIMIT_JERK : DBK_LIMIT_POSITION;
+}
+
 static void name_active(const dbk_model *model, const dbk_ctx *ctx, int32_t at, dbk_active *out) {
   const int32_t id = ctx->solution.active[at], n = model->n;
   out->multiplier = ctx->solution.multiplier[at];
@@ -77,7 +89,7 @@ static void name_active(const dbk_model *model, const dbk_ctx *ctx, int32_t at, 
   } else {
     out->kind = id < n ? DBK_ROW_LOWER : DBK_ROW_UPPER;
     out->i = id < n ? id : id - n;
-    out->j = 0;
+    out->j = limit_of(model, ctx, out->i, id >= n);
     out->h = (dbk_real)0;
   }
 }

@@ -14,8 +14,8 @@ from dualbrain.safety.filter import SafetyFilter, Status
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "dualbrain" / "safety" / "barriers"
 NAMES = sorted(BARRIERS)
-TELL = {"contact": "obstacle", "joint_motion": "joint_limits"}
-"""Rows that carry another barrier's name: contact takes an obstacle's place, the box is one for all of its causes."""
+TELL = {"contact": "obstacle"}
+"""Rows that carry another name: contact takes the place of an obstacle's rows."""
 
 
 def fly(trial, *, filtered=True):

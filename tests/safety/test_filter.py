@@ -11,7 +11,7 @@ from dualbrain.linalg import rotation_error
 from dualbrain.records import Box, HalfSpace, Pose, Sphere
 from dualbrain.safety.filter import Contact, Obstacle, SafetyFilter, Status
 from dualbrain.safety.native import kernel_hash
-from dualbrain.safety.result import Reason
+from dualbrain.safety.result import SPOKEN, Reason
 
 from . import scenes
 
@@ -249,7 +249,7 @@ def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
             assert np.all(np.abs(answer.u - u_prev) <= step * 1.0001)
             assert np.all(np.abs(answer.u) <= np.abs(u_prev))
             assert np.isfinite(answer.delta)
-            assert reason.name.lower().replace("_", " ") in answer.explain()
+            assert SPOKEN[reason.name] in answer.explain()
 
 
 def test_moving_obstacles_go_stale_and_static_ones_do_not(safety, panda, at):

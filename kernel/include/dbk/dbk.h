@@ -38,6 +38,7 @@ enum { DBK_CAPSULE, DBK_BOX, DBK_HALF_SPACE }; /* a sphere is a capsule of lengt
 enum { DBK_KNOWN = 1, DBK_STATIC = 2 };
 enum { DBK_ROW_OBSTACLE, DBK_ROW_SELF, DBK_ROW_LOWER, DBK_ROW_UPPER, DBK_ROW_USER };
 enum { DBK_REVOLUTE, DBK_PRISMATIC };
+enum { DBK_LIMIT_VELOCITY, DBK_LIMIT_ACCELERATION, DBK_LIMIT_JERK, DBK_LIMIT_POSITION };
 
 /* what is given up last when no control meets all rows; the box is never given up */
 enum { DBK_RANK_BODY = 1, DBK_RANK_OBSTACLE, DBK_RANK_WORKSPACE, DBK_RANK_TASK };
@@ -115,7 +116,7 @@ typedef struct {
 } dbk_in;
 
 typedef struct {
-  int32_t kind, i, j; /* obstacle row: sphere, obstacle; self row: sphere, sphere; box: joint */
+  int32_t kind, i, j; /* obstacle row: sphere, obstacle; self row: sphere, sphere; box: joint, which limit */
   dbk_real h, multiplier;
 } dbk_active;
 

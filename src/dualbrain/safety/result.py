@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from math import sqrt
+from math import inf, sqrt
 
 import msgspec
 import numpy as np
@@ -15,6 +15,22 @@ Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 """Kinds of rows, as the kernel counts them."""
+LIMITS = ("velocity", "acceleration", "jerk", "position")
+"""Where a bound of a joint's box comes from, as the kernel counts it."""
+SPOKEN = {
+    "BAD_INPUT": "the input holds a number that is not finite",
+    "STALE_STATE": "the joint state is too old, or the clock stepped",
+    "STALE_SCENE": "moving things were seen too long ago",
+    "OUTSIDE_LIMITS": "a joint is far outside its range",
+    "ROW_OVERFLOW": "more pairs are near than there is room for (shorten the control period or clear the scene)",
+    "NO_GRADIENT": "something is inside the robot where no joint can move it away",
+    "QP_ITERATIONS": "the optimisation did not end in time",
+    "INFEASIBLE": "no control meets all of",
+    "BAD_SCENE": "the obstacle table holds a number that is not finite",
+    "UNCERTIFIED": "not even braking keeps clear",
+    "UNAVOIDABLE": "something comes at a part that cannot move away",
+}
+"""Reasons in words for people."""
 
 
 class Status(IntEnum):
@@ -62,14 +78,14 @@ class Names(msgspec.Struct, frozen=True):
     rows: tuple[str, ...] = ()
 
     def row(self, kind: int, i: int, j: int) -> str:
-        """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 lower"."""
+        """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
         if kind == OBSTACLE:
             return f"{self.sphere(i)} vs {self.obstacles[j]!r}"
         if kind == SELF:
             return f"{self.sphere(i)} vs {self.sphere(j)}"
         if kind == USER:
             return self.rows[i]
-        return f"{self.joints[i]} {'lower' if kind == LOWER else 'upper'}"
+        return f"{self.joints[i]} {LIMITS[j]} limit"
 
     def barrier(self, kind: int, i: int, j: int) -> str:
         """The barrier that a row belongs to, as `safety.barriers` names it."""
@@ -77,7 +93,9 @@ class Names(msgspec.Struct, frozen=True):
             return "held_object" if i >= len(self.spheres) else self.barriers[j]
         if kind == USER:
             return self.rows[i].partition(":")[0]
-        return "self_collision" if kind == SELF else "joint_limits"
+        if kind == SELF:
+            return "self_collision"
+        return "joint_limits" if LIMITS[j] == "position" else "joint_motion"
 
     def sphere(self, index: int) -> str:
         """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
@@ -128,6 +146,21 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
         """Binding rows as (name, h [m], multiplier); the conflicting ones with Farkas multipliers when infeasible."""
         return tuple((self.names.row(kind, i, j), h, weight) for kind, i, j, h, weight in self.rows)
 
+    @property
+    def cause(self) -> str:
+        """The strongest reason for a changed control, by name; empty when nothing was changed."""
+        if self.status > Status.MODIFIED and not self.rows:
+            return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
+        pairs = [row for row in self.rows if row[0] not in (LOWER, UPPER)]
+        joints = [row for row in self.rows if row[0] in (LOWER, UPPER)]
+        if not self.rows:
+            return "" if self.status is Status.SAFE else "rounding"
+        if pairs and (not joints or self.delta_rows >= self.delta_box):
+            kind, i, j, _, _ = max(pairs, key=lambda row: row[4])
+        else:
+            kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # a position limit tells the most
+        return self.names.row(kind, i, j)
+
     def unfiltered(self) -> Filtered:
         """The same moment had nobody filtered: u is u_nom, without a certificate."""
         return msgspec.structs.replace(
@@ -140,22 +173,27 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
             return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
         if self.status is Status.MODIFIED:
             return f"{self._who()}: {self._what()}"
-        causes = ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
-        who = f" ({self._who()})" if self.rows else ""
-        return f"{self.status.name.lower()}: {causes or 'braking'}{who}"
+        why = "; ".join(SPOKEN[flag.name] for flag in self.reason if flag.name in SPOKEN) or "a limit of the box"
+        who = f": {self._who()}" if self.rows else ""
+        lost = f"; given up in part: {', '.join(rank.name.lower() for rank in self.given_up)}" if self.given_up else ""
+        return f"{self.status.name.lower()}, braking: {why}{who}{lost}"
 
     def _who(self) -> str:
-        rows = sorted(self.rows, key=lambda row: -row[4])[:2]
-        words = [
-            self.names.row(kind, i, j) + (f" {h * 1e3:.0f} mm" if kind in (OBSTACLE, SELF) else "")
-            for kind, i, j, h, _ in rows
-        ]
+        """The two strongest rows by name, each name once, with the nearer of its distances."""
+        nearest: dict[str, float] = {}
+        for kind, i, j, h, _ in sorted(self.rows, key=lambda row: -row[4]):
+            name = self.names.row(kind, i, j)
+            gap = h if kind in (OBSTACLE, SELF) else inf
+            nearest[name] = min(nearest.get(name, inf), gap)
+        words = [name + (f" {h * 1e3:.0f} mm" if h < inf else "") for name, h in list(nearest.items())[:2]]
         return " and ".join(words) or f"nearest pair {self.h_min * 1e3:.0f} mm"
 
     def _what(self) -> str:
         wanted, got = self._speed(self.u_nom), self._speed(self.u)
         if got < 0.98 * wanted:
             return f"slowed {100.0 * (1.0 - got / wanted):.0f} %"
+        if self.delta < 1e-3:
+            return "changed by less than 0.1 % of full speed"
         return f"redirected by {100.0 * self.delta:.1f} % of full speed"
 
     def _speed(self, u: Array) -> float:

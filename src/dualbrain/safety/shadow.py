@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.cause import Causes
 from dualbrain.safety.episode import Episode, OpenEpisode
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.result import OBSTACLE, SELF, Filtered, Names, Reason, Status
@@ -122,7 +121,6 @@ class Shadow:
         self.safety, self.recent = safety, deque[Tick](maxlen=keep)
         self._told, self._dead_band, self._join, self._longest = told, dead_band, join, longest
         self._v_max = np.array([joint.velocity.value for joint in safety.body.joints])
-        self._causes = Causes(safety.body)
         self._u_prev: Array | None = None
         self._now = -inf
         self._open: OpenEpisode | None = None
@@ -215,7 +213,7 @@ class Shadow:
             self._end(self._open, goes_on=True)
         if self._open is None:
             self._open = OpenEpisode(tick.now)
-        self._open.add(tick.now, answer, tick.h_min, self._causes.name(answer, u_prev))
+        self._open.add(tick.now, answer, tick.h_min, answer.cause)
 
     def _end(self, episode: OpenEpisode, *, goes_on: bool = False) -> None:
         self._open = None
