@@ -106,11 +106,16 @@ static void remember(const dbk_model *model, dbk_ctx *ctx, dbk_out *out) {
   }
 }
 
-/* what each row is worth when not all can be met: 0 = kept (braking meets it and it is about something that stands
- * still: a robot at rest is passively safe, so no certain collision is traded for a possible one), else its rank */
-static int32_t grade(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *want, int32_t *level) {
-  dbk_rows *rows = &ctx->rows;
-  int32_t lowest = 0;
+/* what relaxation knows of the rows: what each asks for (never more than the box can give), what it gets at least (pairs:
+ * what braking gives them), and its rank, 0 for a pair that braking meets */
+typedef struct {
+  dbk_real want[DBK_MAX_ROWS], floor[DBK_MAX_ROWS];
+  int32_t level[DBK_MAX_ROWS], lowest;
+} grades;
+
+static void grade(const dbk_model *model, const dbk_ctx *ctx, const dbk_real *brake, grades *g) {
+  const dbk_rows *rows = &ctx->rows;
+  g->lowest = 0;
   for (int32_t r = 0; r < rows->count; ++r) {
     dbk_real at_brake = (dbk_real)0, best = (dbk_real)0;
     for (int32_t k = 0; k < model->n; ++k) {
@@ -118,38 +123,64 @@ static int32_t grade(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake
       at_brake += a * brake[k];
       best += a > (dbk_real)0 ? a * ctx->upper[k] : a * ctx->lower[k];
     }
-    level[r] = !rows->moving[r] && at_brake >= rows->b[r] ? 0 : rows->rank[r];
-    want[r] = dbk_min(rows->b[r], best); /* never more than the box can give */
-    lowest = level[r] > lowest ? level[r] : lowest;
+    g->want[r] = dbk_min(rows->b[r], best);
+    const int32_t pair = rows->rank[r] <= DBK_RANK_OBSTACLE;
+    g->floor[r] = pair ? dbk_min(g->want[r], at_brake - DBK_GRANTED) : (dbk_real)-1e9;
+    g->level[r] = pair && at_brake >= g->want[r] ? 0 : rows->rank[r];
+    g->lowest = g->level[r] > g->lowest ? g->level[r] : g->lowest;
   }
-  return lowest;
 }
 
-/* No control meets all rows. The reference is the hardest admissible braking. Rank by rank, the largest violation (in
- * m/s, one slack for all rows of the rank) is made as small as the ranks above allow, and is granted to all below. */
+/* row r once more at the end, asking for all it wants but for a slack */
+static void ask_again(dbk_rows *rows, int32_t n, int32_t r, dbk_real want) {
+  const int32_t at = rows->count++;
+  for (int32_t k = 0; k < n; ++k) { rows->a[k][at] = rows->a[k][r]; }
+  rows->b[at] = want;
+  rows->soft[at] = dbk_min((dbk_real)1, SOFT / rows->norm[r]);
+}
+
+/* rows that fill the last vector must never bind */
+static void fill_up(dbk_rows *rows, int32_t n) {
+  for (int32_t r = rows->count; r < DBK_MAX_ROWS && r % DBK_LANES != 0; ++r) {
+    for (int32_t k = 0; k < n; ++k) { rows->a[k][r] = (dbk_real)0; }
+    rows->b[r] = (dbk_real)-1e9;
+    rows->soft[r] = (dbk_real)0;
+  }
+}
+
+/* No control meets all rows. The reference is the hardest admissible braking, and no pair (a thing, a person, two parts of
+ * the robot) is approached faster than by braking, whatever moves at the robot. Within that, rank by rank, the largest violation (in m/s, one slack for all rows of the rank) is made as small as the ranks above allow,
+ * and is granted to all below. */
 static void relax(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *u, dbk_out *out) {
   dbk_rows *rows = &ctx->rows;
-  dbk_real want[DBK_MAX_ROWS];
-  int32_t level[DBK_MAX_ROWS];
-  const int32_t lowest = grade(model, ctx, brake, want, level);
-  for (int32_t k = 0; k < model->n; ++k) { u[k] = brake[k]; }
-  for (int32_t rank = DBK_RANK_BODY; rank <= lowest; ++rank) {
-    int32_t any = 0;
-    for (int32_t r = 0; r < rows->count; ++r) {
-      any |= level[r] == rank;
-      rows->soft[r] = level[r] == rank ? dbk_min((dbk_real)1, SOFT / rows->norm[r]) : (dbk_real)0;
-      if (level[r] >= rank) { rows->b[r] = level[r] == rank ? want[r] : (dbk_real)-1e9; }
+  const int32_t n = model->n, count = rows->count;
+  grades g;
+  grade(model, ctx, brake, &g);
+  for (int32_t k = 0; k < n; ++k) { u[k] = brake[k]; }
+  for (int32_t r = 0; r < count; ++r) {
+    rows->b[r] = g.floor[r];
+    rows->soft[r] = (dbk_real)0;
+  }
+  for (int32_t rank = DBK_RANK_BODY; rank <= g.lowest; ++rank) {
+    for (int32_t r = 0; r < count && rows->count < DBK_MAX_ROWS; ++r) {
+      if (g.level[r] == rank) { ask_again(rows, n, r, g.want[r]); }
     }
-    if (!any) { continue; }
-    if (dbk_qp(rows, model->n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0, &ctx->solution)) { return; }
+    if (rows->count == count) { continue; }
+    fill_up(rows, n);
+    const int32_t result = dbk_qp(rows, n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0,
+                                  &ctx->solution);
+    rows->count = count;
+    fill_up(rows, n);
+    if (result != 0) { return; }
     const dbk_real slack = dbk_max(ctx->solution.slack, (dbk_real)0);
-    for (int32_t r = 0; r < rows->count; ++r) {
-      if (level[r] == rank) { rows->b[r] = want[r] - rows->soft[r] * slack - DBK_GRANTED; }
+    for (int32_t r = 0; r < count; ++r) {
+      if (g.level[r] == rank) {
+        const dbk_real granted = dbk_min((dbk_real)1, SOFT / rows->norm[r]) * slack + DBK_GRANTED;
+        rows->b[r] = dbk_max(g.floor[r], g.want[r] - granted);
+      }
     }
     if (slack * SOFT > DBK_GIVEN_UP) { out->relaxed |= 1 << rank; }
-    for (int32_t k = 0; k < model->n; ++k) {
-      u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]);
-    }
+    for (int32_t k = 0; k < n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
   }
 }
 

@@ -12,18 +12,19 @@ from . import oracle, scenes
 
 
 def lexicographic(rows, low, high):
-    """The least largest violation of each rank, given those of the ranks above; rows that rest meets stay hard."""
+    """The least largest violation of each rank, given those of the ranks above; no pair is met worse than by rest."""
     A, b = [np.array(row.a) for row in rows], [row.b for row in rows]
     n, granted, least = len(low), {}, {}
     for rank in Rank:
         upper, right = [], []
         for row, a, value in zip(rows, A, b, strict=True):
-            hard = value <= 0.0
-            if not hard and row.rank > rank:
-                continue
-            here = not hard and row.rank == rank
-            upper.append([*(-a), -1.0 if here else 0.0])
-            right.append(-value if hard or here else -value + granted[row.rank])
+            pair = row.rank <= Rank.OBSTACLE
+            if pair:
+                upper.append([*(-a), 0.0])
+                right.append(-min(value, 0.0))
+            if row.rank <= rank and not (pair and value <= 0.0):
+                upper.append([*(-a), -1.0 if row.rank == rank else 0.0])
+                right.append(-value + granted.get(row.rank, 0.0))
         answer = linprog([0.0] * n + [1.0], upper, right, bounds=[*zip(low, high, strict=True), (0.0, None)])
         assert answer.success
         granted[rank] = answer.x[-1] + 1e-9
@@ -83,6 +84,23 @@ def test_a_relaxed_answer_depends_on_the_state_alone_and_is_its_own_answer(small
     if answers[0].status is Status.RELAXED:
         np.testing.assert_array_equal(answers[1].u, answers[0].u)
         assert answers[1].delta == 0.0
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_no_pair_is_met_worse_than_by_braking(small, at, seed):
+    """Passive safety: from any motion, no pair is approached faster than a braking robot would."""
+    rng = np.random.default_rng(200 + seed)
+    rows, safety = contradicting(rng, 7), SafetyFilter(small, scenes.config(real="float64"))
+    step = np.array([joint.acceleration.value for joint in small.joints]) * small.period
+    u_prev = rng.uniform(-0.3, 0.3, 7)
+    keep = max(0.0, float(np.max(1.0 - step / np.abs(u_prev))))
+    brake = np.clip(keep * u_prev, u_prev - step, u_prev + step)
+    safety.constrain(rows)
+    safety.reset(u_prev)
+    answer = safety.filter(at(small.home), rng.uniform(-1, 1, 7), 0.0)
+    assert answer.status in (Status.RELAXED, Status.MODIFIED)
+    for row in (row for row in rows if row.rank <= Rank.OBSTACLE):
+        assert np.dot(row.a, answer.u) >= min(row.b, np.dot(row.a, brake)) - 1e-7
 
 
 def test_what_was_given_up_is_told(small, at):
