@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from proofs.adversary import Adversary
 from proofs.bare import Bare
 from proofs.conservatism import Conservatism
 from proofs.kernel import Kernel
 from proofs.picks import Picks
+from proofs.plant_adversary import PlantAdversary
 from proofs.proof import Proof
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
 
 PROOFS: dict[str, Proof] = {
-    proof.name: proof for proof in (Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel())
-}
+    proof.name: proof
+    for proof in (
+        Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary()
+    )
+}  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

@@ -15,6 +15,7 @@
 #include "dbk_lab.h"
 
 namespace nb = nanobind;
+void bind_lab(nb::module_ &m);  // lab_binding.cpp
 using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 using Bytes = nb::ndarray<int8_t, nb::c_contig, nb::device::cpu>;
@@ -467,8 +468,10 @@ NB_MODULE(DBK_MODULE, m) {
       .def("rows", &Kernel::rows)
       .def("box", &Kernel::box)
       .def("closed_loop", &Kernel::closed_loop)
+      .def("parts", [](Kernel &k) { return nb::make_tuple(nb::capsule(k.model.get()), nb::capsule(k.scene.get()), nb::capsule(k.ctx.get())); })
       .def("time_steps", &Kernel::time_steps);
   m.def("solve_qp", &solve_qp);
   m.def("distance", &distance);
   m.def("sincos", &sine_cosine);
+  bind_lab(m);
 }
