@@ -143,6 +143,14 @@ def test_a_control_that_cancels_up_to_rounding_does_not_count(kind):
     np.testing.assert_allclose(b, [-(3.0 * -0.5 + 2.0 * along)], atol=1e-12)
 
 
+def test_a_sum_that_is_zero_up_to_rounding_does_not_count():
+    """0.1 x + 0.2 x − 0.3 x is zero in numbers, not in floating point."""
+    x = ca.SX.sym("x", 4)
+    tenths = [0.1 * x[3], 0.2 * x[3], 0.3 * x[3]]
+    system = ControlAffine(x, [x[3], 0, 0, 0], [*([part, 0] for part in tenths), [0, 1]])
+    assert ControlAffineFilter(system, [Barrier("sum", x[0] + x[1] - x[2])]).relative_degrees == (2,)
+
+
 # --- rows and answers against closed forms ------------------------------------------------------------------------
 
 
@@ -346,6 +354,15 @@ def test_conflicting_barriers_are_given_up_by_rank_and_named():
         assert answer.given_up == (Rank.TASK,)
         assert answer.u[0] == pytest.approx(-1.0, abs=1e-6)
         assert "person" in answer.explain()
+
+
+def test_a_row_outside_the_conflict_is_met_in_full():
+    x = ca.SX.sym("x", 2)
+    right, left = Barrier("right", x[0], margin=0.8), Barrier("left", -x[0], margin=0.4)  # u_0 ≥ 0.8, u_0 ≤ −0.4
+    ahead = Barrier("ahead", x[1], margin=0.7)  # u_1 ≥ 0.7
+    answer = ControlAffineFilter(ControlAffine(x, [0, 0], np.eye(2)), [right, ahead, left], -1.0, 1.0)([0, 0], [0, 0])
+    assert answer.status is Status.RELAXED
+    np.testing.assert_allclose(answer.u, [0.2, 0.7], atol=1e-6)
 
 
 def test_rows_that_conflict_are_met_as_well_as_possible_and_never_worse_than_by_the_fallback(rng):
