@@ -178,8 +178,8 @@ def _refused(whole: dict[str, Any]) -> str:
     if not whole["refused"]:
         return ""
     lines = [(one["peer"], one["setting"], one["n"], one["why"]) for one in whole["refused"]]
-    return "## Who did not take part\n\nWhere no answer came in time, this machine was busy; it says nothing else about the "
-        "contestant.\n\n" + _grid(("contestant", "setting", "n", "why"), lines)
+    why = "Where no answer came in time, this machine was busy; it says nothing else about the contestant."
+    return f"## Who did not take part\n\n{why}\n\n" + _grid(("contestant", "setting", "n", "why"), lines)
 
 
 def _versions(whole: dict[str, Any]) -> str:
