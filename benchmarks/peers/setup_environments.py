@@ -55,7 +55,7 @@ def make(name: str, oscbf: str) -> list[str]:
     if _pip(name, "-r", str(wanted)) != 0:
         return [name]
     missing = []
-    if name == WITH_OSCBF and _pip(name, "--no-deps", f"oscbf @ git+{oscbf}@{OSCBF_COMMIT}") != 0:
+    if name == WITH_OSCBF and _pip(name, "--no-deps", f"git+{oscbf}@{OSCBF_COMMIT}") != 0:
         missing.append("oscbf")
     if not missing:
         (ENVIRONMENTS / name / DONE).write_text(json.dumps({"digest": digest_of(name)}))
