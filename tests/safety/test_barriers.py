@@ -1,5 +1,6 @@
 """Every barrier, as it is found: pushed hard it holds, it tells its name, and without the filter it would break."""
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -134,3 +135,10 @@ def test_it_slows_near_the_singular_posture():
 def test_the_page_of_barriers_is_the_one_that_is_written():
     stored = Path(__file__).resolve().parents[2] / "docs" / "barriers.md"
     assert stored.read_text() == page(), "write it anew: python -m dualbrain.safety.barriers > docs/barriers.md"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_files_that_carry_it_out_exist(name):
+    root = Path(__file__).resolve().parents[2]
+    for path in re.findall(r"[\w/]+\.(?:py|c)\b", BARRIERS[name].where):
+        assert (root / path).is_file() or (root / "src" / "dualbrain" / path).is_file(), path

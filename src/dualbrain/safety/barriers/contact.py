@@ -45,6 +45,6 @@ BARRIER = Barrier(
     alpha="as obstacle",
     margins=("sampling", "rounding"),
     source="design: contact permits by phase, declared by the skill, never by the contract",
-    where="safety/permit.py onto kernel/src/dbk_rows.c: obstacle_rows",
+    where="safety/permit.py onto kernel/src/dbk_meet.c",
     trial=_trial,
 )

@@ -38,6 +38,6 @@ BARRIER = Barrier(
     alpha="as obstacle and self_collision",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="design: attached at the pose measured at the grasp",
-    where="safety/held.py onto kernel/src/dbk_rows.c",
+    where="safety/held.py onto kernel/src/dbk_meet.c",
     trial=_trial,
 )

@@ -31,6 +31,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha_joint, else alpha",
     margins=("tracking", "rounding"),
     source="paper 4.2; discrete braking: Del Prete, RA-L 2018",
-    where="kernel/src/dbk_box.c: dbk_box",
+    where="kernel/src/dbk_box.c",
     trial=_trial,
 )

@@ -40,6 +40,6 @@ BARRIER = Barrier(
     alpha="none: a box on u",
     margins=(),
     source="Body: velocity, acceleration and jerk bounds with their provenance",
-    where="kernel/src/dbk_box.c: dbk_box, dbk_jerk_box",
+    where="kernel/src/dbk_box.c",
     trial=_trial,
 )

@@ -63,6 +63,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: keep-out regions; footprint discs: design 4",
-    where="safety/barriers/keep_out.py onto kernel/src/dbk_rows.c",
+    where="safety/barriers/keep_out.py onto kernel/src/dbk_meet.c",
     trial=_trial,
 )

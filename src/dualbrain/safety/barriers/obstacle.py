@@ -36,6 +36,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha, or the obstacle's own; people have rank BODY",
     margins=("sampling", "tracking", "measurement", "age", "rounding"),
     source="paper 4.2; moving obstacles: ∂h/∂t = −n'v_o",
-    where="kernel/src/dbk_rows.c: obstacle_rows",
+    where="kernel/src/dbk_meet.c",
     trial=_trial,
 )

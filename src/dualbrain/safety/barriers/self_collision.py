@@ -38,6 +38,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha_self, else alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2; pairs and their reasons: Body.self_pairs",
-    where="kernel/src/dbk_rows.c: against_link",
+    where="kernel/src/dbk_self.c",
     trial=_trial,
 )

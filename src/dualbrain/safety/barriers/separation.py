@@ -57,6 +57,6 @@ BARRIER = Barrier(
     alpha="none: a speed by distance; the obstacle barrier holds beside it",
     margins=("measurement", "age", "sampling", "rounding"),
     source="terms of ISO/TS 15066 speed and separation monitoring; no certified function",
-    where="kernel/src/dbk_rows.c: separate",
+    where="kernel/src/dbk_meet.c",
     trial=_trial,
 )

@@ -59,6 +59,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "measurement", "rounding"),
     source="paper 4.2: traversable regions",
-    where="safety/barriers/traversable.py onto kernel/src/dbk_rows.c",
+    where="safety/barriers/traversable.py onto kernel/src/dbk_meet.c",
     trial=_trial,
 )

@@ -31,6 +31,6 @@ BARRIER = Barrier(
     alpha="the user's",
     margins=(),
     source="SafetyFilter.constrain",
-    where="safety/rows.py onto kernel/src/dbk_rows.c: user_rows",
+    where="safety/rows.py onto kernel/src/dbk_rows.c",
     trial=_trial,
 )

@@ -70,6 +70,6 @@ BARRIER = Barrier(
     alpha="FilterConfig.alpha",
     margins=("sampling", "tracking", "rounding"),
     source="paper 4.2: end-effector height and workspace",
-    where="safety/barriers/workspace.py onto kernel/src/dbk_rows.c",
+    where="safety/barriers/workspace.py onto kernel/src/dbk_meet.c",
     trial=_trial,
 )
