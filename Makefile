@@ -46,8 +46,10 @@ pytest: setup
 prove: setup  ## the big proofs: slow, resumable; figures go to prove/
 	@$(BIN)/python benchmarks/prove.py
 
-bench: setup  ## timings beside named peers
+bench: setup  ## timings beside named peers, the compiled kernel at worst, mutants of it
 	@$(BIN)/python benchmarks/gate.py && $(BIN)/python benchmarks/filter_step.py
+	@$(BIN)/python benchmarks/peers/setup_environments.py && $(BIN)/python benchmarks/filter_latency.py
+	@$(BIN)/python benchmarks/kernel_limits.py && $(BIN)/python benchmarks/mutants.py --seed 1 --count 60 --resume
 
 clean:
 	rm -rf $(VENV) build runs
