@@ -22,67 +22,27 @@ void dbk_remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other) {
   ctx->visits.count = at + 1;
 }
 
-/* the rows from `first` on are moved by the joints from..upto-1 */
-static void open_span(dbk_rows *rows, int32_t first, int32_t from, int32_t upto) {
+/* the rows from `first` on are moved by the joints from..upto-1, and belong to one sphere or (-1) to several */
+static void open_span(dbk_rows *rows, int32_t first, const dbk_batch *w) {
   const int32_t at = rows->n_spans;
-  if (at > 0 && rows->span_from[at - 1] == from && rows->span_upto[at - 1] == upto) { return; }
+  if (at > 0 && rows->span_from[at - 1] == w->from && rows->span_upto[at - 1] == w->upto &&
+      rows->span_sphere[at - 1] == w->sphere) {
+    return;
+  }
   rows->span_first[at] = first;
-  rows->span_from[at] = from;
-  rows->span_upto[at] = upto;
+  rows->span_from[at] = w->from;
+  rows->span_upto[at] = w->upto;
+  rows->span_sphere[at] = w->sphere;
   rows->n_spans = at + 1;
 }
 
-/* places of the pairs that are to be kept, in order; when there is no more room, that is told, and the step brakes */
-static inline int32_t list_kept(const dbk_batch *w, dbk_rows *rows, int32_t *restrict kept) {
-  int32_t n = 0;
+/* copies the pairs that are to be kept behind the rows there are; every pair is written, and overwritten by the next one
+ * unless it is kept. When there is no more room, that is told, and the step brakes. */
+static inline void copy_kept(const dbk_batch *w, dbk_rows *restrict rows) {
+  int32_t *restrict vary = w->sphere >= 0 ? rows->j : rows->i;
+  int32_t n = rows->count;
   for (int32_t at = 0; at < w->count; ++at) {
-    kept[n] = at;
-    n += w->keep[at];
-  }
-  if (n > DBK_MAX_ROWS - rows->count) {
-    rows->overflow = 1;
-    n = DBK_MAX_ROWS - rows->count;
-  }
-  return n;
-}
-
-/* c x n, with c the centre of each row's sphere */
-static inline void fill_moments(const dbk_cloud *cloud, const dbk_batch *w, dbk_rows *restrict rows, int32_t first) {
-  const dbk_real *nx = rows->nx, *ny = rows->ny, *nz = rows->nz;
-  const int32_t same = w->sphere >= 0 ? w->sphere : 0;
-  dbk_real x = cloud->x[same], y = cloud->y[same], z = cloud->z[same];
-  if (w->sphere >= 0) {
-    for (int32_t r = first; r < rows->count; ++r) {
-      rows->mx[r] = y * nz[r] - z * ny[r];
-      rows->my[r] = z * nx[r] - x * nz[r];
-      rows->mz[r] = x * ny[r] - y * nx[r];
-    }
-    return;
-  }
-  for (int32_t r = first; r < rows->count; ++r) {
-    x = cloud->x[rows->i[r]];
-    y = cloud->y[rows->i[r]];
-    z = cloud->z[rows->i[r]];
-    rows->mx[r] = y * nz[r] - z * ny[r];
-    rows->my[r] = z * nx[r] - x * nz[r];
-    rows->mz[r] = x * ny[r] - y * nx[r];
-  }
-}
-
-/* takes the pairs of a batch that are to be kept as rows */
-DBK_WIDE void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batch *w) {
-  dbk_rows *restrict rows = &ctx->rows;
-  const dbk_covers *c = &scene->covers;
-  const int32_t first = rows->count;
-  int32_t kept[DBK_BATCH];
-  const int32_t last = first + list_kept(w, rows, kept);
-  if (first == last) { return; }
-  open_span(rows, first, w->from, w->upto);
-  rows->count = last;
-  int32_t *restrict vary = w->sphere >= 0 ? rows->j : rows->i, *restrict same = w->sphere >= 0 ? rows->i : rows->j;
-  const int32_t fixed = w->sphere >= 0 ? w->sphere : w->other;
-  for (int32_t r = first; r < last; ++r) {
-    const int32_t at = kept[r - first];
+    const int32_t r = n < DBK_MAX_ROWS ? n : DBK_MAX_ROWS;
     rows->h[r] = w->h[at];
     rows->b[r] = w->rhs[at];
     rows->nx[r] = w->nx[at];
@@ -90,36 +50,74 @@ DBK_WIDE void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batc
     rows->nz[r] = w->nz[at];
     rows->yielding[r] = w->yielding[at];
     vary[r] = w->index[at];
+    n += w->keep[at];
   }
-  for (int32_t r = first; r < last; ++r) {
-    same[r] = fixed;
-    rows->kind[r] = w->kind;
-    rows->moving[r] = 0;
-    rows->rank[r] = DBK_RANK_BODY;
+  if (n > DBK_MAX_ROWS) {
+    rows->overflow = 1;
+    n = DBK_MAX_ROWS;
   }
-  if (w->kind == DBK_ROW_OBSTACLE) {
-    for (int32_t r = first; r < last; ++r) {
-      rows->moving[r] = c->moving[rows->j[r]];
-      rows->rank[r] = c->rank[rows->j[r]];
-    }
-  }
-  fill_moments(&ctx->cloud, w, rows, first);
+  rows->count = n;
 }
 
-/* n'J_k = z_k'(c x n) - n'(z_k x p_k), or n'z_k where joint k slides, for the rows first..last-1 */
-static inline void fill_column(const dbk_model *model, const dbk_frames *frames, dbk_rows *rows, int32_t k, int32_t first,
-                               int32_t last, dbk_real *restrict square, dbk_real *restrict total) {
-  const dbk_real *f = frames->rotation[k + 1];
-  const dbk_real *p = frames->origin[k + 1];
+/* takes the pairs of a batch that are to be kept as rows */
+DBK_WIDE void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batch *w) {
+  dbk_rows *restrict rows = &ctx->rows;
+  const dbk_covers *c = &scene->covers;
+  const int32_t first = rows->count;
+  copy_kept(w, rows);
+  if (first == rows->count) { return; }
+  open_span(rows, first, w);
+  int32_t *restrict same = w->sphere >= 0 ? rows->i : rows->j;
+  const int32_t fixed = w->sphere >= 0 ? w->sphere : w->other, obstacle = w->kind == DBK_ROW_OBSTACLE;
+  for (int32_t r = first; r < rows->count; ++r) {
+    same[r] = fixed;
+    rows->kind[r] = w->kind;
+  }
+  for (int32_t r = first; r < rows->count; ++r) {
+    rows->moving[r] = obstacle ? c->moving[rows->j[r]] : 0;
+    rows->rank[r] = obstacle ? c->rank[rows->j[r]] : DBK_RANK_BODY;
+  }
+}
+
+/* n'J_k of rows that lie side by side, first..first+count-1, up to full vectors: what is written behind the last one is
+ * written again by the next span */
+typedef struct {
+  int32_t first, count;
+  dbk_real *square, *total; /* sums of squares and of sizes over the joints */
+} columns;
+
+/* of one sphere with centre c: n'(z_k x (c - p_k)), or n'z_k where joint k slides */
+static inline void fill_for_sphere(const dbk_model *model, const dbk_ctx *ctx, int32_t k, int32_t sphere,
+                                   const columns *at, dbk_rows *restrict rows) {
+  const dbk_real *f = ctx->frames.rotation[k + 1], *p = ctx->frames.origin[k + 1];
+  const dbk_real zx = f[2], zy = f[5], zz = f[8];
+  const dbk_real x = ctx->cloud.x[sphere] - p[0], y = ctx->cloud.y[sphere] - p[1], z = ctx->cloud.z[sphere] - p[2];
+  const int32_t slides = model->joint_kind[k] == DBK_PRISMATIC;
+  const dbk_real jx = slides ? zx : zy * z - zz * y, jy = slides ? zy : zz * x - zx * z;
+  const dbk_real jz = slides ? zz : zx * y - zy * x;
+  const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
+  dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
+  for (int32_t r = 0; r < at->count; ++r) {
+    const dbk_real mine = jx * nx[r] + jy * ny[r] + jz * nz[r];
+    a[r] = mine;
+    square[r] += mine * mine;
+    total[r] += mine < (dbk_real)0 ? -mine : mine;
+  }
+}
+
+/* of several spheres: z_k'(c x n) - n'(z_k x p_k), or n'z_k where joint k slides */
+static inline void fill_for_several(const dbk_model *model, const dbk_ctx *ctx, int32_t k, const columns *at,
+                                    dbk_rows *restrict rows) {
+  const dbk_real *f = ctx->frames.rotation[k + 1], *p = ctx->frames.origin[k + 1];
   const dbk_real zx = f[2], zy = f[5], zz = f[8];
   const int32_t slides = model->joint_kind[k] == DBK_PRISMATIC;
   const dbk_real tx = slides ? (dbk_real)0 : zx, ty = slides ? (dbk_real)0 : zy, tz = slides ? (dbk_real)0 : zz;
   const dbk_real mx = slides ? -zx : zy * p[2] - zz * p[1], my = slides ? -zy : zz * p[0] - zx * p[2];
   const dbk_real mz = slides ? -zz : zx * p[1] - zy * p[0];
-  const dbk_real *restrict rx = rows->mx, *restrict ry = rows->my, *restrict rz = rows->mz;
-  const dbk_real *restrict nx = rows->nx, *restrict ny = rows->ny, *restrict nz = rows->nz;
-  dbk_real *restrict a = rows->a[k];
-  for (int32_t r = first; r < last; ++r) {
+  const dbk_real *rx = rows->mx + at->first, *ry = rows->my + at->first, *rz = rows->mz + at->first;
+  const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
+  dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
+  for (int32_t r = 0; r < at->count; ++r) {
     const dbk_real mine = (tx * rx[r] + ty * ry[r] + tz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
     a[r] = mine;
     square[r] += mine * mine;
@@ -127,17 +125,33 @@ static inline void fill_column(const dbk_model *model, const dbk_frames *frames,
   }
 }
 
+/* c x n, with c the centre of each row's sphere */
+static void fill_moments(const dbk_cloud *cloud, dbk_rows *rows, int32_t first, int32_t last) {
+  for (int32_t r = first; r < last; ++r) {
+    const int32_t i = rows->i[r];
+    const dbk_real x = cloud->x[i], y = cloud->y[i], z = cloud->z[i];
+    rows->mx[r] = y * rows->nz[r] - z * rows->ny[r];
+    rows->my[r] = z * rows->nx[r] - x * rows->nz[r];
+    rows->mz[r] = x * rows->ny[r] - y * rows->nx[r];
+  }
+}
+
 /* the columns of every span; joints that do not move it get zero */
-static inline void fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *rows, dbk_real *restrict square,
-                                dbk_real *restrict total) {
-  for (int32_t r = 0; r < rows->count; ++r) { square[r] = total[r] = (dbk_real)0; }
+static inline void fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *restrict rows,
+                                dbk_real *restrict square, dbk_real *restrict total) {
   for (int32_t s = 0; s < rows->n_spans; ++s) {
-    const int32_t first = rows->span_first[s], last = s + 1 < rows->n_spans ? rows->span_first[s + 1] : rows->count;
+    const int32_t first = rows->span_first[s], sphere = rows->span_sphere[s];
+    const int32_t last = s + 1 < rows->n_spans ? rows->span_first[s + 1] : rows->count;
+    const columns at = {first, DBK_PADDED(last - first), square + first, total + first};
+    for (int32_t r = 0; r < at.count; ++r) { at.square[r] = at.total[r] = (dbk_real)0; }
+    if (sphere < 0) { fill_moments(&ctx->cloud, rows, first, last); }
     for (int32_t k = 0; k < model->n; ++k) {
-      if (k >= rows->span_from[s] && k < rows->span_upto[s]) {
-        fill_column(model, &ctx->frames, rows, k, first, last, square, total);
+      if (k < rows->span_from[s] || k >= rows->span_upto[s]) {
+        for (int32_t r = 0; r < at.count; ++r) { rows->a[k][first + r] = (dbk_real)0; }
+      } else if (sphere >= 0) {
+        fill_for_sphere(model, ctx, k, sphere, &at, rows);
       } else {
-        for (int32_t r = first; r < last; ++r) { rows->a[k][r] = (dbk_real)0; }
+        fill_for_several(model, ctx, k, &at, rows);
       }
     }
   }
@@ -193,15 +207,16 @@ static void yield(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *rows) {
 
 /* unit rows, so that row tolerances are in rad/s; from here on h is what remains to h = 0 without the sampling margin */
 static inline void make_unit(const dbk_model *model, dbk_rows *rows) {
-  dbk_real inverse[DBK_MAX_ROWS];
-  for (int32_t r = 0; r < rows->count; ++r) {
+  dbk_real inverse[DBK_ROW_ROOM];
+  const int32_t count = DBK_PADDED(rows->count);
+  for (int32_t r = 0; r < count; ++r) {
     inverse[r] = (dbk_real)1 / rows->norm[r];
     rows->b[r] *= inverse[r];
     rows->h[r] += model->sampling;
   }
   for (int32_t k = 0; k < model->n; ++k) {
     dbk_real *restrict a = rows->a[k];
-    for (int32_t r = 0; r < rows->count; ++r) { a[r] *= inverse[r]; }
+    for (int32_t r = 0; r < count; ++r) { a[r] *= inverse[r]; }
   }
 }
 
@@ -244,7 +259,7 @@ static void pad(const dbk_model *model, dbk_rows *rows) {
 /* from normals to unit rows of the QP */
 DBK_WIDE void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
   dbk_rows *rows = &ctx->rows;
-  dbk_real square[DBK_MAX_ROWS], total[DBK_MAX_ROWS];
+  dbk_real square[DBK_ROW_ROOM], total[DBK_ROW_ROOM];
   int32_t fixed = 0, yielding = 0;
   fill_columns(model, ctx, rows, square, total);
   for (int32_t r = 0; r < rows->count; ++r) {

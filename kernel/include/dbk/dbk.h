@@ -133,17 +133,18 @@ typedef struct {
   dbk_real rotation[DBK_MAX_DOF + 1][9], origin[DBK_MAX_DOF + 1][3];
 } dbk_frames;
 
-/* rows, one array per joint so that loops over rows vectorise; of rows that lie side by side and are moved by the same
- * joints, a span tells the first row and the joints from..upto-1 */
+/* rows, one array per joint so that loops over rows vectorise. Rows that lie side by side and are moved by the same joints
+ * are a span: its first row, the joints from..upto-1, and the sphere where it is the same for all (else -1) */
 typedef struct {
   int32_t count, overflow, stuck, unavoidable;
-  int32_t n_spans, span_first[DBK_MAX_SPANS + 1], span_from[DBK_MAX_SPANS], span_upto[DBK_MAX_SPANS];
-  dbk_real a[DBK_MAX_DOF][DBK_MAX_ROWS], b[DBK_MAX_ROWS]; /* unit rows */
-  dbk_real h[DBK_MAX_ROWS], norm[DBK_MAX_ROWS];
-  dbk_real nx[DBK_MAX_ROWS], ny[DBK_MAX_ROWS], nz[DBK_MAX_ROWS], mx[DBK_MAX_ROWS], my[DBK_MAX_ROWS], mz[DBK_MAX_ROWS];
-  dbk_real soft[DBK_MAX_ROWS];
-  int32_t kind[DBK_MAX_ROWS], i[DBK_MAX_ROWS], j[DBK_MAX_ROWS], yielding[DBK_MAX_ROWS], moving[DBK_MAX_ROWS];
-  int32_t rank[DBK_MAX_ROWS];
+  int32_t n_spans, span_first[DBK_MAX_SPANS], span_from[DBK_MAX_SPANS], span_upto[DBK_MAX_SPANS];
+  int32_t span_sphere[DBK_MAX_SPANS];
+  dbk_real a[DBK_MAX_DOF][DBK_ROW_ROOM], b[DBK_ROW_ROOM]; /* unit rows */
+  dbk_real h[DBK_ROW_ROOM], norm[DBK_ROW_ROOM];
+  dbk_real nx[DBK_ROW_ROOM], ny[DBK_ROW_ROOM], nz[DBK_ROW_ROOM], mx[DBK_ROW_ROOM], my[DBK_ROW_ROOM], mz[DBK_ROW_ROOM];
+  dbk_real soft[DBK_ROW_ROOM];
+  int32_t kind[DBK_ROW_ROOM], i[DBK_ROW_ROOM], j[DBK_ROW_ROOM], yielding[DBK_ROW_ROOM], moving[DBK_ROW_ROOM];
+  int32_t rank[DBK_ROW_ROOM];
 } dbk_rows;
 
 /* runs of spheres that one period could bring to h = 0 at an obstacle or sphere: what the certificate looks at again */

@@ -45,7 +45,8 @@ typedef float dbk_real;
 #define DBK_ALL_SPHERES (DBK_MAX_SPHERES + DBK_MAX_HELD)
 #define DBK_SPHERE_ROOM (DBK_ALL_SPHERES + DBK_LANES) /* loops over a link's spheres may run on to a full vector */
 #define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)
-#define DBK_MAX_SPANS (DBK_ALL_LINKS + DBK_MAX_PAIRS + DBK_MAX_LINKS)
+#define DBK_ROW_ROOM (DBK_MAX_ROWS + DBK_LANES)       /* and so may loops over rows */
+#define DBK_MAX_SPANS (DBK_ALL_SPHERES + DBK_ALL_LINKS * 2 + DBK_MAX_PAIRS)
 #define DBK_QP_DIM (DBK_MAX_DOF + 1) /* joints and one slack */
 #define DBK_QP_CAP 80                /* iterations of the active set; reaching it is a fault */
 
