@@ -31,6 +31,36 @@ void copy(const Array &from, dbk_real *to, size_t count, const char *what) {
   for (size_t i = 0; i < count; ++i) { to[i] = static_cast<dbk_real>(from.data()[i]); }
 }
 
+// n doubles of one array, read in place; what is not a plain float64 array is converted first
+void take(const nb::handle from, dbk_real *to, size_t count, const char *what) {
+  Py_buffer view;
+  if (PyObject_GetBuffer(from.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) != 0) {
+    PyErr_Clear();
+    return copy(nb::cast<Array>(from), to, count, what);
+  }
+  const bool plain = view.format != nullptr && std::strcmp(view.format, "d") == 0;
+  const bool fits = static_cast<size_t>(view.len) == count * sizeof(double);
+  const auto *data = static_cast<const double *>(view.buf);
+  for (size_t i = 0; plain && fits && i < count; ++i) { to[i] = static_cast<dbk_real>(data[i]); }
+  PyBuffer_Release(&view);
+  if (!plain) { return copy(nb::cast<Array>(from), to, count, what); }
+  expect(fits, what);
+}
+
+// the same the other way: into a writable float64 array
+void give(const nb::handle to, const dbk_real *from, size_t count, const char *what) {
+  Py_buffer view;
+  if (PyObject_GetBuffer(to.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) != 0) {
+    throw nb::python_error();
+  }
+  const bool plain = view.format != nullptr && std::strcmp(view.format, "d") == 0 &&
+                     static_cast<size_t>(view.len) == count * sizeof(double);
+  auto *data = static_cast<double *>(view.buf);
+  for (size_t i = 0; plain && i < count; ++i) { data[i] = static_cast<double>(from[i]); }
+  PyBuffer_Release(&view);
+  expect(plain, what);
+}
+
 std::vector<double> values(const nb::dict &d, const char *key) {
   const Array a = nb::cast<Array>(d[key]);
   return {a.data(), a.data() + a.size()};
@@ -196,24 +226,23 @@ struct Kernel {
     std::memcpy(ctx->u_nom_prev, ctx->u_prev, sizeof ctx->u_prev);
   }
 
-  void load(const Array &q, const Array &v, const Array &u, double opening, double state_age, double scene_age) {
-    copy(q, in.q, n, "q");
-    copy(v, in.v, n, "v");
-    copy(u, in.u_nom, n, "u_nom");
+  void load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age) {
+    take(q, in.q, n, "q");
+    take(v, in.v, n, "v");
+    take(u, in.u_nom, n, "u_nom");
     in.opening = static_cast<dbk_real>(opening);
     in.state_age = static_cast<dbk_real>(state_age);
     in.scene_age = static_cast<dbk_real>(scene_age);
   }
 
-  nb::tuple step(const Array &q, const Array &v, const Array &u_nom, double opening, double state_age,
-                 double scene_age, const Out &u) {
+  nb::tuple step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age, double scene_age,
+                 nb::handle u) {
     load(q, v, u_nom, opening, state_age, scene_age);
-    expect(u.size() == n, "u");
     {
       const nb::gil_scoped_release release;
       dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
     }
-    for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(out.u[k]); }
+    give(u, out.u, n, "u");
     nb::tuple active;
     if (out.n_active > 0) {
       nb::list rows;
@@ -257,7 +286,7 @@ struct Kernel {
     }
   }
 
-  int project(const Array &q, const Array &v, const Array &wish, const Array &u_prev, double opening, double state_age,
+  int project(nb::handle q, nb::handle v, nb::handle wish, const Array &u_prev, double opening, double state_age,
               double scene_age, double extra, const Out &u) {
     load(q, v, wish, opening, state_age, scene_age);
     dbk_real last[DBK_MAX_DOF] = {0}, answer[DBK_MAX_DOF] = {0};

@@ -13,7 +13,11 @@ static inline void to_capsule(const dbk_obstacle *o, int32_t count, const dbk_re
   const dbk_real ax = o->rotation[2], ay = o->rotation[5], az = o->rotation[8];
   const dbk_real half = o->half[2], radius = o->radius;
   for (int32_t i = 0; i < count; ++i) {
-    d[i] = dbk_off_segment(x[i] - px, y[i] - py, z[i] - pz, ax, ay, az, half, &nx[i], &ny[i], &nz[i]) - radius;
+    dbk_real ux, uy, uz;
+    d[i] = dbk_off_segment(x[i] - px, y[i] - py, z[i] - pz, ax, ay, az, half, &ux, &uy, &uz) - radius;
+    nx[i] = ux;
+    ny[i] = uy;
+    nz[i] = uz;
   }
 }
 

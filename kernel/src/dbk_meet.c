@@ -83,28 +83,49 @@ static meeting meeting_of(const dbk_model *model, const dbk_scene *scene, const 
   return it;
 }
 
+typedef struct {
+  dbk_real least; /* smallest h of the spheres of the link */
+  int32_t any;    /* is a row to be kept? */
+} summary;
+
 /* all spheres of a link against one obstacle */
-DBK_WIDE static void link_meets(const dbk_ctx *ctx, const link_scene *near, const meeting *m, dbk_batch *restrict w) {
+DBK_WIDE static summary link_meets(const dbk_ctx *ctx, const link_scene *near, const meeting *m, dbk_batch *restrict w) {
   const dbk_cloud *cloud = &ctx->cloud;
-  const int32_t first = near->first, count = DBK_PADDED(near->count), permitted = m->permitted;
+  const int32_t first = near->first, permitted = m->permitted;
   const dbk_terms t = m->terms;
+  dbk_real least[DBK_LANES];
+  int32_t any[DBK_LANES] = {0};
   w->count = near->count;
   w->kind = DBK_ROW_OBSTACLE;
   w->sphere = -1;
   w->other = m->index;
   w->from = 0;
   w->upto = near->frame;
-  dbk_distance(m->shape, count, cloud->x + first, cloud->y + first, cloud->z + first, w->h, w->nx, w->ny, w->nz);
-  for (int32_t at = 0; at < count; ++at) {
-    const dbk_mover it = mover_of(ctx, first + at);
-    const dbk_weight weight = dbk_weigh(&it, &t, w->h[at], w->nx[at], w->ny[at], w->nz[at]);
-    w->h[at] = weight.h;
-    w->rhs[at] = weight.rhs;
-    w->room[at] = weight.room;
-    w->index[at] = first + at;
-    w->keep[at] = dbk_binds(&weight, permitted);
-    w->yielding[at] = permitted;
+  dbk_distance(m->shape, DBK_PADDED(near->count), cloud->x + first, cloud->y + first, cloud->z + first, w->h, w->nx,
+               w->ny, w->nz);
+  for (int32_t l = 0; l < DBK_LANES; ++l) { least[l] = DBK_BEYOND; }
+  for (int32_t base = 0; base < near->count; base += DBK_LANES) {
+    for (int32_t l = 0; l < DBK_LANES; ++l) {
+      const int32_t at = base + l, real = at < near->count;
+      const dbk_mover it = mover_of(ctx, first + at);
+      const dbk_weight weight = dbk_weigh(&it, &t, w->h[at], w->nx[at], w->ny[at], w->nz[at]);
+      const dbk_real h = real ? weight.h : DBK_BEYOND;
+      w->h[at] = weight.h;
+      w->rhs[at] = weight.rhs;
+      w->room[at] = weight.room;
+      w->index[at] = first + at;
+      w->keep[at] = dbk_binds(&weight, permitted);
+      w->yielding[at] = permitted;
+      any[l] |= real & w->keep[at];
+      least[l] = h < least[l] ? h : least[l];
+    }
   }
+  summary it = {least[0], any[0]};
+  for (int32_t l = 1; l < DBK_LANES; ++l) {
+    it.least = dbk_min(it.least, least[l]);
+    it.any |= any[l];
+  }
+  return it;
 }
 
 /* the tighter of the barrier and of speed and separation */
@@ -188,12 +209,10 @@ static void meet_alone(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   dbk_batch w;
   dbk_obstacle shape;
   const meeting m = meeting_of(model, scene, around, index, near, &shape);
-  link_meets(ctx, near, &m, &w);
+  const summary it = link_meets(ctx, near, &m, &w);
   if (m.separated) { separate(&m, near->count, &w); }
-  dbk_keep_rows(scene, ctx, &w);
-  dbk_real least = w.h[0];
-  for (int32_t s = 1; s < near->count; ++s) { least = dbk_min(least, w.h[s]); }
-  if (!m.permitted) { judge(model, scene, ctx, near, index, least); }
+  if (it.any || m.separated) { dbk_keep_rows(scene, ctx, &w); }
+  if (!m.permitted) { judge(model, scene, ctx, near, index, it.least); }
 }
 
 /* rows of all links against all obstacles */
@@ -202,7 +221,7 @@ void dbk_meet_obstacles(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
   link_scene near;
   dbk_find_near(model, scene, ctx, around, &nearby);
   for (int32_t l = 0; l <= model->n_links; ++l) {
-    if (!dbk_takes_part(model, scene, l)) { continue; }
+    if (!nearby.any[l]) { continue; }
     near.link = l;
     near.first = dbk_first_sphere(model, l);
     near.count = dbk_last_sphere(model, scene, l) - near.first;

@@ -78,18 +78,21 @@ static inline dbk_real nearest_at_most(const dbk_scene *scene, const dbk_motion 
   return least[0];
 }
 
-/* 1 where the obstacle matters for the link */
-static inline void mark(const dbk_model *model, const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s,
+/* 1 where the obstacle matters for the link; returns whether any does */
+static inline int32_t mark(const dbk_model *model, const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s,
                         int32_t link, const dbk_real *gap, dbk_real h_min, int32_t *restrict near) {
   const dbk_covers *c = &scene->covers;
   const dbk_real speed = m->speed[link], sampling = model->sampling;
   const int32_t known_only = s->known_only;
+  int32_t any = 0;
   for (int32_t o = 0; o < s->lanes; ++o) {
     const dbk_real h = gap[o];
     const int32_t open = (int32_t)(c->parts[o] >> link & 1u) & (c->known[o] | !known_only);
     const int32_t safe = (h > DBK_CULL_FLOOR) & (s->alpha[o] * h >= c->speed[o] + speed) & (h + sampling >= h_min);
     near[o] = open & !safe;
+    any |= near[o];
   }
+  return any;
 }
 
 /* speed and separation may ask for more than the barrier does */
@@ -102,7 +105,9 @@ static void mark_separation(const dbk_model *model, const dbk_scene *scene, cons
     for (int32_t l = 0; l <= model->n_links; ++l) {
       if (!dbk_takes_part(model, scene, l)) { continue; }
       const int32_t safe = dbk_separation_speed(it, gap[l][o], person) >= m->speed[l];
-      out->near[l][o] |= (int32_t)(it->parts >> l & 1u) & !safe;
+      const int32_t matters = (int32_t)(it->parts >> l & 1u) & !safe;
+      out->near[l][o] |= matters;
+      out->any[l] |= matters;
     }
   }
 }
@@ -118,9 +123,10 @@ DBK_WIDE void dbk_find_near(const dbk_model *model, const dbk_scene *scene, cons
     h_min = dbk_min(h_min, nearest_at_most(scene, &ctx->motion, around, l, gap[l]));
   }
   h_min += model->sampling;
-  half_space_gaps(model, scene, ctx, around, gap);
+  if (scene->covers.any_half_space) { half_space_gaps(model, scene, ctx, around, gap); }
   for (int32_t l = 0; l <= model->n_links; ++l) {
-    if (dbk_takes_part(model, scene, l)) { mark(model, scene, &ctx->motion, around, l, gap[l], h_min, out->near[l]); }
+    out->any[l] = dbk_takes_part(model, scene, l) &&
+                  mark(model, scene, &ctx->motion, around, l, gap[l], h_min, out->near[l]);
   }
-  mark_separation(model, scene, &ctx->motion, around, gap, out);
+  if (scene->covers.any_separation) { mark_separation(model, scene, &ctx->motion, around, gap, out); }
 }

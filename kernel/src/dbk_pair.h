@@ -95,9 +95,9 @@ typedef struct {
   int32_t known_only;
 } dbk_surround;
 
-/* which obstacles matter for which links that take part */
+/* which obstacles matter for which links; `near` is told only of links that take part */
 typedef struct {
-  int32_t near[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
+  int32_t any[DBK_ALL_LINKS], near[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
 } dbk_nearby;
 
 /* dbk_near.c */

@@ -92,6 +92,7 @@ typedef struct {
   uint32_t parts[DBK_MAX_OBSTACLES];                           /* none behind the last obstacle */
   int32_t known[DBK_MAX_OBSTACLES], moving[DBK_MAX_OBSTACLES], rank[DBK_MAX_OBSTACLES];
   int32_t plain[DBK_MAX_OBSTACLES]; /* the capsule is the obstacle, and no speed and separation is asked for */
+  int32_t any_half_space, any_separation;
 } dbk_covers;
 
 typedef struct {

@@ -60,6 +60,7 @@ class SafetyFilter:
         `barriers` are asked for their rows in every step.
         """
         self.body, self.config = body, config or FilterConfig()
+        self._n = body.n
         self._mobile = body.base == "differential"
         self._barriers = tuple(barriers)
         self._rows: tuple[Row, ...] = ()
@@ -149,8 +150,11 @@ class SafetyFilter:
 
         With moving obstacles `now` [s] must be the time on the clock of `observe`'s stamps; the state counts as fresh.
         """
-        state = RobotState(now, 0, np.asarray(q, float), np.asarray(v, float), opening, (0.0, 0.0))
-        return self.filter(state, np.ascontiguousarray(u_nom, float), now)
+        if not (type(q) is type(v) is type(u_nom) is np.ndarray):
+            q, v, u_nom = (np.ascontiguousarray(x, float) for x in (q, v, u_nom))
+        if self._mobile or self._barriers:
+            return self.filter(RobotState(now, 0, q, v, opening, (0.0, 0.0)), u_nom, now)
+        return self._step(q, v, u_nom, opening, 0.0, now - self._stamp)
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
@@ -158,8 +162,13 @@ class SafetyFilter:
             state = replace(state, q=self._joints(state.q))
         if self._barriers:
             self._refresh(state)
-        u = np.empty(self.body.n)
-        answer = self._kernel.step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp, u)
+        return self._step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp)
+
+    def _step(
+        self, q: Array, v: Array, u_nom: Array, opening: float, state_age: float, scene_age: float
+    ) -> Filtered:  # fmt: skip
+        u = np.empty(self._n)
+        answer = self._kernel.step(q, v, u_nom, opening, state_age, scene_age, u)
         status, flags, delta, by_rows, by_box, h_min, certified, iterations, n_rows, rows, relaxed = answer
         return Filtered(
             u, u_nom, self._names, STATUSES[status], flags, delta, by_rows, by_box, h_min, certified, iterations,
