@@ -11,12 +11,16 @@ from .builds import CLANG, CLANG_HOST, CLANG_TRAPS, GCC, INCLUDES, ROOT, WARNING
 
 SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 
+WIDE = '-DDBK_WIDE=__attribute__((target_clones("avx2","default")))'
+"""As CMakeLists.txt has it on x86-64: hot loops compiled twice."""
+
 BUILDS = [
-    (GCC, "-O0"), (GCC, "-O2"), (GCC, "-O3"), (GCC, "-O3 -march=native"),
+    (GCC, "-O0"), (GCC, "-O2"), (GCC, "-O3"), (GCC, "-O3 -march=native"), (GCC, f"-O3 {WIDE}"),
     (CLANG, "-O0"), (CLANG, "-O2"), (CLANG_HOST, "-O3"),
 ]  # fmt: skip
 MORE = [
-    (GCC, "-O1"), (GCC, "-Os"), (GCC, "-O2 -fno-tree-vectorize"), (GCC, "-O3 -march=native -flto"),
+    (GCC, "-O1"), (GCC, "-Os"), (GCC, "-O2 -DDBK_LANES=1"), (GCC, "-O2 -fno-tree-vectorize"),
+    (GCC, "-O3 -march=native -flto"),
     (CLANG, "-O1"), (CLANG, "-Os"), (CLANG, "-O3"), (CLANG_HOST, "-O2"), (CLANG_TRAPS, "-O1"),
 ]  # fmt: skip
 

@@ -156,4 +156,4 @@ def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
 def test_thousands_of_moments(thin, panda, setting, real):
     for seed, body in enumerate((thin, panda)):
-        check(body, SETTINGS[setting], real, 500, 100 + seed)
+        check(body, SETTINGS[setting], real, 100, 100 + seed)
