@@ -155,5 +155,6 @@ def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
 @pytest.mark.parametrize("real", ["float32", "float64"])
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
 def test_thousands_of_moments(thin, panda, setting, real):
-    for seed, body in enumerate((thin, panda)):
+    limited = SETTINGS[setting].get("acceleration_limits", True)  # else the whole body has more rows than there is room
+    for seed, body in enumerate((thin, panda) if limited else (thin,)):
         check(body, SETTINGS[setting], real, 100, 100 + seed)
