@@ -151,6 +151,24 @@ def test_no_row_is_missing_and_h_min_is_the_nearest(thin, setting):
     check(thin, SETTINGS[setting], "float32", 30, 11)
 
 
+def test_far_from_everything_h_min_is_still_the_nearest(thin, rng):
+    """At rest nothing binds, so that only the search for the nearest pair keeps a link from being skipped."""
+    alone = msgspec.structs.replace(thin, self_pairs=msgspec.structs.replace(thin.self_pairs, kept=()))
+    safety = SafetyFilter(alone, scenes.config(alpha=alone.alpha, tracking_error=0.002))
+    for _ in range(150):
+        setting = moment(alone, rng, count=12, balls=True)
+        q, opening = setting.q[None], setting.opening
+        things = [msgspec.structs.replace(thing, margin=0.0) for thing in setting.obstacles]
+        far = [thing for thing in things if oracle.h_obstacles(alone, q, [thing], opening)[0] > 0.1]
+        safety.observe(far, 0.0)
+        safety.reset()
+        got = safety(setting.q, np.zeros(7), np.zeros(7), opening=opening)
+        assert got.n_rows == 0
+        if far:
+            least = oracle.h_obstacles(alone, q, far, opening)[0]
+            assert got.h_min == pytest.approx(least - safety.config.rounding_margin, abs=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("real", ["float32", "float64"])
 @pytest.mark.parametrize("setting", SETTINGS, ids=str)
