@@ -10,6 +10,7 @@ import numpy as np
 
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import RobotState
+from dualbrain.errors import InvalidSetup
 from dualbrain.records import Box, Capsule, Pose, Sphere
 from dualbrain.safety import _kernel
 from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
@@ -24,7 +25,7 @@ class Filter:
 
     def __init__(self, problem: Problem, *, how: str = "call", limited: bool = False) -> None:
         if len(problem.kind) > _kernel.max_obstacles:
-            raise NotImplementedError(f"the kernel takes at most {_kernel.max_obstacles} obstacles")
+            raise InvalidSetup("obstacles", got=len(problem.kind), allowed=f"at most {_kernel.max_obstacles}")
         body = load_body("panda") if problem.whole_body else thin_body()
         config = FilterConfig(
             lag_compensation=problem.whole_body,

@@ -7,7 +7,7 @@ import pytest
 from dualbrain.embodiment.differential_base import drive
 from dualbrain.safety.barriers.keep_out import keep_out, trial_base
 from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.filter import Row, SafetyFilter
 
 
 def gaps(safety, q, x, y, half_x, half_y):
@@ -55,3 +55,19 @@ def test_spheres_and_tool_are_given_in_the_world():
     centres, _, _ = safety.spheres(q, 0.0)
     x, y, _ = safety.body.spheres[0].centre
     np.testing.assert_allclose(centres[0], [1.0 - y, -2.0 + x, 0.0], atol=1e-6)
+
+
+class Limp:
+    """A live barrier: no faster than 0.1 m/s forward."""
+
+    def rows(self, state, jacobian):
+        assert state.q.shape == (3,), "a live barrier sees the configuration in the world"
+        return (Row("user_rows: limp", (-1.0, 0.0), -0.1),)
+
+
+def test_live_barriers_work_on_a_base():
+    safety = SafetyFilter(trial_base(), EXACT, barriers=(Limp(),))
+    q, answer = np.array([0.5, -0.3, 0.7]), None
+    for _ in range(30):
+        answer = safety(q, np.zeros(2), np.array([0.6, 0.0]))
+    assert answer.u[0] == pytest.approx(0.1, abs=1e-4)

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dualbrain.embodiment.solids import solid
 from dualbrain.records import Bowl, Box, Cylinder, HalfSpace, Pose, Scene, SceneObject, Sphere
 from dualbrain.safety.held import cover
-from dualbrain.safety.obstacles import from_scene, solid
+from dualbrain.safety.obstacles import from_scene
 
 from . import oracle, scenes
 

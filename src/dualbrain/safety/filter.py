@@ -158,10 +158,7 @@ class SafetyFilter:
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
-        if self._mobile:
-            state = replace(state, q=self._joints(state.q))
-        if self._barriers:
-            self._refresh(state)
+        state = self._ready(state)
         return self._step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp)
 
     def _step(
@@ -200,16 +197,19 @@ class SafetyFilter:
 
         Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
         """
-        if self._mobile:
-            state = replace(state, q=self._joints(state.q))
-        if self._barriers:
-            self._refresh(state)
+        state = self._ready(state)
         u = np.empty(self.body.n)
         self._kernel.project(
             state.q, state.v, u_wish, u_nom_prev, state.opening, now - state.stamp, now - self._stamp,
             self.config.projection_margin, u,
         )  # fmt: skip
         return u
+
+    def _ready(self, state: RobotState) -> RobotState:
+        """Hand over the live barriers' rows at `state`; the state in the chain's own terms."""
+        if self._barriers:
+            self._refresh(state)
+        return replace(state, q=self._joints(state.q)) if self._mobile else state
 
     def _joints(self, q: Array) -> Array:
         """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own chain at zero."""

@@ -8,10 +8,10 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.solids import solid
 from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import matrix
 from dualbrain.records import Box, Capsule, Cylinder, Pose, SceneObject, Sphere
-from dualbrain.safety.obstacles import solid
 
 Array = NDArray[np.float64]
 

@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from math import hypot, pi, sqrt
+from collections.abc import Collection
 
 import msgspec
-import numpy as np
 
-from dualbrain.linalg import matrix
-from dualbrain.records import (
-    STILL,
-    Bowl,
-    Box,
-    Capsule,
-    Cylinder,
-    HalfSpace,
-    Pose,
-    Scene,
-    SceneObject,
-    Shape,
-    Sphere,
-    Vector,
-)
+from dualbrain.embodiment.solids import Solid, solid
+from dualbrain.records import STILL, Pose, Scene, SceneObject, Vector
 from dualbrain.safety.rows import Rank
-
-Solid = Sphere | Capsule | Box | HalfSpace
-"""The shapes with an exact distance in the kernel."""
 
 
 class Separation(msgspec.Struct, frozen=True):
@@ -94,36 +76,3 @@ def _obstacle(thing: SceneObject, stamp: float, known: bool, clearance: float) -
         static=not moves,
         rank=Rank.BODY if thing.role == "person" else Rank.OBSTACLE,
     )
-
-
-def solid(shape: Shape, pose: Pose) -> tuple[Solid, Pose]:
-    """The smallest cover by a shape with an exact distance: cylinders by volume, bowls as a box of full height."""
-    match shape:
-        case Cylinder():
-            return min(_covers(shape), key=_volume), pose
-        case Bowl(radius=radius, height=height):
-            x, y, z = matrix(pose.quaternion) @ np.array([0.0, 0.0, 0.5 * height]) + np.array(pose.position)
-            return Box((radius, radius, 0.5 * height)), Pose((float(x), float(y), float(z)), pose.quaternion)
-        case _:
-            return shape, pose
-
-
-def _covers(cylinder: Cylinder) -> Iterator[Solid]:
-    """A box, a ball, and capsules whose caps reach the rim."""
-    r, h = cylinder.radius, cylinder.half_height
-    yield Box((r, r, h))
-    yield Sphere(hypot(r, h))
-    for share in (0.25, 0.5, 0.75, 1.0):
-        yield Capsule(radius=sqrt(r * r + (h * (1.0 - share)) ** 2), half_length=share * h)
-
-
-def _volume(shape: Solid) -> float:
-    match shape:
-        case Box(half_extents=(x, y, z)):
-            return 8.0 * x * y * z
-        case Sphere(radius=r):
-            return 4.0 / 3.0 * pi * r**3
-        case Capsule(radius=r, half_length=h):
-            return 4.0 / 3.0 * pi * r**3 + 2.0 * pi * r * r * h
-        case HalfSpace():
-            return float("inf")

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.solids import distance, solid
 from dualbrain.linalg import rotation_error
 from dualbrain.records import Scene, SceneObject
-from dualbrain.skills.outline import distance, outline
 from dualbrain.skills.skill import Motion, Touch
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ class Foresight:
         for thing in scene.objects:
             if thing.role != "person" and thing.name != held:
                 counts = ~base & ~_spared(thing, groups, touches)
-                apart = distance(outline(thing), centres[:, counts]) - reach[counts]
+                apart = distance(*solid(thing.shape, thing.pose), centres[:, counts]) - reach[counts]
                 least = min(least, float(apart.min()) - thing.error + (NEARER if thing.name in known else 0.0))
         return least
 

@@ -13,9 +13,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.solids import Solid
 from dualbrain.linalg import matrix
 from dualbrain.records import Box, Capsule, HalfSpace, Sphere
-from dualbrain.safety.obstacles import Obstacle, Solid
+from dualbrain.safety.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 NEAR = 1e-9
