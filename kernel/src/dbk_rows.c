@@ -211,6 +211,9 @@ static void move_row(const dbk_model *model, dbk_rows *rows, int32_t to, int32_t
   rows->moving[to] = rows->moving[r];
   rows->rank[to] = rows->rank[r];
   rows->yielding[to] = rows->yielding[r];
+  rows->nx[to] = rows->nx[r];
+  rows->ny[to] = rows->ny[r];
+  rows->nz[to] = rows->nz[r];
 }
 
 /* rows without a gradient are judged and leave */

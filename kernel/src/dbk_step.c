@@ -1,8 +1,6 @@
 /* One control step: refuse bad input, build rows, solve, check, certify, and always answer with an admissible control. */
 #include "dbk_math.h"
 
-#define SOFT ((dbk_real)1e-3) /* [1/(m/s)] weight of the shared slack: small, so that violating a row is expensive */
-
 static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const dbk_in *in) {
   int32_t flags = 0;
   const int32_t n = model->n;
@@ -106,87 +104,9 @@ static void remember(const dbk_model *model, dbk_ctx *ctx, dbk_out *out) {
   }
 }
 
-/* what relaxation knows of the rows: what each asks for (never more than the box can give), what it gets at least (pairs:
- * what braking gives them), and its rank, 0 for a pair that braking meets */
-typedef struct {
-  dbk_real want[DBK_MAX_ROWS], floor[DBK_MAX_ROWS];
-  int32_t level[DBK_MAX_ROWS], lowest;
-} grades;
-
-static void grade(const dbk_model *model, const dbk_ctx *ctx, const dbk_real *brake, grades *g) {
-  const dbk_rows *rows = &ctx->rows;
-  g->lowest = 0;
-  for (int32_t r = 0; r < rows->count; ++r) {
-    dbk_real at_brake = (dbk_real)0, best = (dbk_real)0;
-    for (int32_t k = 0; k < model->n; ++k) {
-      const dbk_real a = rows->a[k][r];
-      at_brake += a * brake[k];
-      best += a > (dbk_real)0 ? a * ctx->upper[k] : a * ctx->lower[k];
-    }
-    g->want[r] = dbk_min(rows->b[r], best);
-    const int32_t pair = rows->rank[r] <= DBK_RANK_OBSTACLE;
-    g->floor[r] = pair ? dbk_min(g->want[r], at_brake - DBK_GRANTED) : (dbk_real)-1e9;
-    g->level[r] = pair && at_brake >= g->want[r] ? 0 : rows->rank[r];
-    g->lowest = g->level[r] > g->lowest ? g->level[r] : g->lowest;
-  }
-}
-
-/* row r once more at the end, asking for all it wants but for a slack */
-static void ask_again(dbk_rows *rows, int32_t n, int32_t r, dbk_real want) {
-  const int32_t at = rows->count++;
-  for (int32_t k = 0; k < n; ++k) { rows->a[k][at] = rows->a[k][r]; }
-  rows->b[at] = want;
-  rows->soft[at] = dbk_min((dbk_real)1, SOFT / rows->norm[r]);
-}
-
-/* rows that fill the last vector must never bind */
-static void fill_up(dbk_rows *rows, int32_t n) {
-  for (int32_t r = rows->count; r < DBK_MAX_ROWS && r % DBK_LANES != 0; ++r) {
-    for (int32_t k = 0; k < n; ++k) { rows->a[k][r] = (dbk_real)0; }
-    rows->b[r] = (dbk_real)-1e9;
-    rows->soft[r] = (dbk_real)0;
-  }
-}
-
-/* No control meets all rows. The reference is the hardest admissible braking, and no pair (a thing, a person, two parts of
- * the robot) is approached faster than by braking, whatever moves at the robot. Within that, rank by rank, the largest violation (in m/s, one slack for all rows of the rank) is made as small as the ranks above allow,
- * and is granted to all below. */
-static void relax(const dbk_model *model, dbk_ctx *ctx, const dbk_real *brake, dbk_real *u, dbk_out *out) {
-  dbk_rows *rows = &ctx->rows;
-  const int32_t n = model->n, count = rows->count;
-  grades g;
-  grade(model, ctx, brake, &g);
-  for (int32_t k = 0; k < n; ++k) { u[k] = brake[k]; }
-  for (int32_t r = 0; r < count; ++r) {
-    rows->b[r] = g.floor[r];
-    rows->soft[r] = (dbk_real)0;
-  }
-  for (int32_t rank = DBK_RANK_BODY; rank <= g.lowest; ++rank) {
-    for (int32_t r = 0; r < count && rows->count < DBK_MAX_ROWS; ++r) {
-      if (g.level[r] == rank) { ask_again(rows, n, r, g.want[r]); }
-    }
-    if (rows->count == count) { continue; }
-    fill_up(rows, n);
-    const int32_t result = dbk_qp(rows, n, model->scale, ctx->lower, ctx->upper, brake, 1, (dbk_real)0, 0, 0,
-                                  &ctx->solution);
-    rows->count = count;
-    fill_up(rows, n);
-    if (result != 0) { return; }
-    const dbk_real slack = dbk_max(ctx->solution.slack, (dbk_real)0);
-    for (int32_t r = 0; r < count; ++r) {
-      if (g.level[r] == rank) {
-        const dbk_real granted = dbk_min((dbk_real)1, SOFT / rows->norm[r]) * slack + DBK_GRANTED;
-        rows->b[r] = dbk_max(g.floor[r], g.want[r] - granted);
-      }
-    }
-    if (slack * SOFT > DBK_GIVEN_UP) { out->relaxed |= 1 << rank; }
-    for (int32_t k = 0; k < n; ++k) { u[k] = dbk_clamp(ctx->solution.u[k], ctx->lower[k], ctx->upper[k]); }
-  }
-}
-
 /* closest control that meets box and rows; flags tell when there is none */
-static int32_t solve(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake, dbk_real *u,
-                     dbk_out *out) {
+static int32_t solve(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
+                     const dbk_real *brake, dbk_real *u, dbk_out *out) {
   int32_t ids[DBK_QP_DIM];
   const int32_t n = model->n;
   out->iterations = out->n_active = out->relaxed = 0;
@@ -201,7 +121,7 @@ static int32_t solve(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom
   out->iterations = ctx->solution.iterations;
   remember(model, ctx, out);
   if (result == 1) {
-    relax(model, ctx, brake, u, out);
+    out->relaxed = dbk_relax(model, scene, ctx, brake, u);
     ctx->n_warm = 0;
     return DBK_INFEASIBLE;
   }
@@ -211,23 +131,27 @@ static int32_t solve(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom
   return result == 2 ? DBK_QP_ITERATIONS : 0;
 }
 
-/* keep u if the next step is certified; else go from u toward braking, never toward zero, until it is */
+/* keep u if the next step is certified; else go from u toward braking, never toward zero, until it is. If nothing is, what
+ * moves is about to touch: the answer stays the relaxed one, which no pair has worse than braking, or else is to brake */
 static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
                        const dbk_real *brake, int32_t relaxed, dbk_real *u) {
   dbk_real start[DBK_MAX_DOF];
-  for (int32_t k = 0; k < model->n; ++k) { start[k] = u[k]; }
+  const int32_t n = model->n;
+  for (int32_t k = 0; k < n; ++k) { start[k] = u[k]; }
   for (int32_t tries = 0; tries <= 4; ++tries) {
     const dbk_real part = (dbk_real)0.25 * (dbk_real)tries;
-    for (int32_t k = 0; k < model->n; ++k) {
+    for (int32_t k = 0; k < n; ++k) {
       u[k] = dbk_clamp(start[k] + part * (brake[k] - start[k]), ctx->lower[k], ctx->upper[k]);
     }
     if (tries == 0) {
-      for (int32_t k = 0; k < model->n; ++k) { u[k] = start[k]; }
+      for (int32_t k = 0; k < n; ++k) { u[k] = start[k]; }
     }
-    const int32_t sound = dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u,
-                                    relaxed || tries == 4 ? (dbk_real)1e6 : DBK_CHECK_TOL);
+    const int32_t sound =
+        dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, u, relaxed || tries == 4 ? (dbk_real)1e6 : DBK_CHECK_TOL);
     if (sound && dbk_certify(model, scene, ctx, in, u)) { return 1; }
   }
+  const int32_t kept = relaxed && dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, start, DBK_CHECK_TOL);
+  for (int32_t k = 0; k < n; ++k) { u[k] = kept ? start[k] : brake[k]; }
   return 0;
 }
 
@@ -295,11 +219,11 @@ dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx
   if (flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT)) {
     return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
   }
-  flags |= solve(model, ctx, in->u_nom, brake, u, out);
+  flags |= solve(model, scene, ctx, in->u_nom, brake, u, out);
   if (flags & DBK_QP_ITERATIONS) { return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out); }
   const int32_t relaxed = (flags & (DBK_INFEASIBLE | DBK_UNAVOIDABLE)) != 0;
   const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u);
-  if (!certified) { return finish(model, ctx, in, DBK_FAULT, flags | DBK_UNCERTIFIED, 0, relaxed ? u : brake, out); }
+  if (!certified) { return finish(model, ctx, in, DBK_FAULT, flags | DBK_UNCERTIFIED, 0, u, out); }
   int32_t same = 1;
   for (int32_t k = 0; k < model->n; ++k) { same &= u[k] == in->u_nom[k]; }
   const dbk_status status = relaxed ? DBK_RELAXED : (same ? DBK_SAFE : DBK_MODIFIED);
@@ -316,7 +240,7 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     flags = build(model, scene, ctx, in, u_prev, 0, extra, 1);
     for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
     if (!(flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT))) {
-      flags |= solve(model, ctx, in->u_nom, brake, u, &ignored);
+      flags |= solve(model, scene, ctx, in->u_nom, brake, u, &ignored);
       if (!(flags & DBK_QP_ITERATIONS)) { return (flags & DBK_INFEASIBLE) ? DBK_RELAXED : DBK_MODIFIED; }
     }
   }

@@ -184,9 +184,10 @@ def test_contact_speed_is_kept_at_contact(panda, at):
     safety = SafetyFilter(panda, scenes.config())
     q = np.array(panda.home)
     tool = safety.tool(q).position
-    safety.observe([Obstacle("pad", HalfSpace(), Pose((0.0, 0.0, float(tool[2]) - 0.06)))], 0.0)
-    safety.permit([Contact("fingers", "pad", 0.03), Contact("hand", "pad", 0.03)])
     height, touching = float(tool[2]) - 0.06, 0
+    pad = Pose((float(tool[0]), float(tool[1]), height - 0.05))
+    safety.observe([Obstacle("pad", Box((0.15, 0.15, 0.05)), pad)], 0.0)
+    safety.permit([Contact("fingers", "pad", 0.03), Contact("hand", "pad", 0.03)])
     for _ in range(2000):
         answer = safety.filter(at(q), toward(safety, (0, 0, -1), 0.3)(q), 0.0)
         before, radii, groups = safety.spheres(q, 0.04)

@@ -232,6 +232,8 @@ int32_t dbk_qp(const dbk_rows *rows, int32_t n, const dbk_real scale[DBK_MAX_DOF
                int32_t with_slack, dbk_real shift, const int32_t *warm, int32_t n_warm, dbk_solution *solution);
 int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF], const dbk_real upper[DBK_MAX_DOF],
                   const dbk_real u[DBK_MAX_DOF], dbk_real tolerance);
+int32_t dbk_relax(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real brake[DBK_MAX_DOF],
+                  dbk_real u[DBK_MAX_DOF]); /* bit r: rows of rank r were given up in part */
 int32_t dbk_certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
                     const dbk_real u[DBK_MAX_DOF]);
 
