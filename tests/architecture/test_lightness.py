@@ -25,7 +25,8 @@ HEAVY = (
 )
 LIGHT_ROOMS = ("contracts", "embodiment", "skills", "safety")
 ROOMS = (
-    "contracts", "embodiment", "skills", "safety", "memory", "planner", "world", "runtime", "dashboard", "cli",
+    "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "runtime",
+    "dashboard", "cli",
 )  # fmt: skip
 
 

@@ -1,0 +1,85 @@
+"""Text that a reader would not see, and marks by which a document could speak as somebody else, become blanks.
+
+Law: blanking keeps the length, so an offset into the blanked text is an offset into the text it was made from. It is
+idempotent, and what it leaves holds no control character but line feed and tab, no character of a format class
+(zero-width, direction, tags), no lone surrogate, and no token of a chat template.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+Span = tuple[int, int]
+
+LONGEST_SAMPLE = 80
+_PASSES = 4
+"""Tokens may be nested so that blanking one makes another; whoever nests deeper loses every bracket."""
+
+_UNSEEN = frozenset({"Cc", "Cf", "Co", "Cs", "Cn", "Zl", "Zp"})
+_KEPT = "\n\t"
+_FILLERS = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u180b\u180c\u180d\u180f\u2800\u3164\uffa0")
+_SELECTORS = (range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
+_TOKENS = re.compile(
+    r"<[|\uff5c][^<>\n]{0,60}[|\uff5c]>"  # <|im_start|>, <|start_header_id|>, and with full-width bars
+    r"|</?s>|\[/?(?:INST|SYS|AVAILABLE_TOOLS|TOOL_CALLS|TOOL_RESULTS|SYSTEM_PROMPT)\]|<</?SYS>>"
+    r"|</?(?:start_of_turn|end_of_turn|bos|eos|pad|unk|think|tool_call|tool_response|tools|system|user|assistant)>"
+    r"|</?(?:knowledge|scene|instruction|warning|refusal)>",
+    re.IGNORECASE,
+)
+"""Control tokens of the common chat templates, and the marks of our own prompt."""
+_BRACKETS = re.compile(r"[<>\[\]]")
+
+
+class Hidden(msgspec.Struct, frozen=True):
+    """What was left out of a reading: `kind`, how many `characters`, and the beginning of it, in ASCII."""
+
+    kind: str
+    characters: int
+    sample: str
+
+
+def blank(text: str, spans: Iterable[Span]) -> str:
+    """`text` with spaces in place of `spans`; line feeds stay, so that lines keep their numbers."""
+    pieces: list[str] = []
+    done = 0
+    for start, end in sorted(spans):
+        if end > done:
+            pieces += [text[done : max(start, done)], re.sub(r"[^\n]", " ", text[max(start, done) : end])]
+            done = end
+    return "".join((*pieces, text[done:]))
+
+
+def reveal(text: str) -> tuple[str, tuple[Hidden, ...]]:
+    """`text` with unseen characters and chat tokens as blanks, and what they were."""
+    unseen = [character for character in dict.fromkeys(text) if _unseen(character)]
+    lost = sum(map(text.count, unseen)) - text.count("\r\n")
+    seen = text.translate(dict.fromkeys(map(ord, unseen), " "))
+    found = [Hidden("unseen characters", lost, ascii("".join(unseen[:12]))[1:-1])] if lost else []
+    tokens: list[str] = []
+    for _ in range(_PASSES):
+        spans = [match.span() for match in _TOKENS.finditer(seen)]
+        tokens += [seen[start:end] for start, end in spans]
+        seen = blank(seen, spans)
+    if _TOKENS.search(seen):
+        seen = _BRACKETS.sub(" ", seen)
+    return seen, tuple(found) + noted("chat tokens", tokens)
+
+
+def noted(kind: str, pieces: Sequence[str]) -> tuple[Hidden, ...]:
+    """One line for people about `pieces` that were left out, or none if nothing was."""
+    kept = [words for piece in pieces if (words := " ".join(piece.split()))]
+    if not kept:
+        return ()
+    sample = " ".join(kept[:20])[:LONGEST_SAMPLE]
+    return (Hidden(kind, sum(map(len, kept)), ascii(sample)[1:-1]),)
+
+
+def _unseen(character: str) -> bool:
+    if character in _KEPT:
+        return False
+    special = character in _FILLERS or any(ord(character) in block for block in _SELECTORS)
+    return special or unicodedata.category(character) in _UNSEEN

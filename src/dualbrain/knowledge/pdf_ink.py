@@ -1,0 +1,173 @@
+"""Which text of a PDF page leaves ink: follows the graphics state, and takes the words out of what does not."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field
+from math import sqrt
+from typing import Any, cast
+
+TINY = 2.0
+"""Text whose height is below this [pt] cannot be read."""
+FAINT = 0.05
+"""Opacity below which nothing is seen."""
+WHITE = 0.97
+INVISIBLE = (3, 7)
+"""Text rendering modes that fill and stroke nothing (ISO 32000-1, 9.3.6)."""
+DEEPEST = 6
+"""Forms within forms whose resources are looked at."""
+SHOWING = (b"Tj", b"TJ", b"'", b'"')
+
+
+@dataclass(slots=True)
+class _State:
+    """The part of the graphics state by which text is seen or not."""
+
+    mode: int = 0
+    size: float = 12.0
+    white: bool = False
+    faint: bool = False
+    layer: bool = False
+    content: list[bool] = field(default_factory=list)
+
+    def why(self) -> str:
+        """Why text leaves no ink by this state, "" if it does."""
+        reasons = {
+            "invisible text": self.mode in INVISIBLE, "white text": self.white, "transparent text": self.faint,
+            "a layer that is off": self.layer or any(self.content),
+        }  # fmt: skip
+        return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+class Ink:
+    """Visits the operators of one page; text without ink goes to `lost`, by kind, and is not extracted."""
+
+    def __init__(self, page: Any, off: frozenset[int], lost: dict[str, list[str]]) -> None:
+        """`off` are the object numbers of the layers that are switched off."""
+        self._lost, self._off = lost, off
+        self._state, self._stack = _State(), list[_State]()
+        self._box = [float(value) for value in page.cropbox]
+        self._layers, self._faint, self._forms = dict[str, Any](), dict[str, bool](), dict[str, Any]()
+        _collect(_at(page, "/Resources"), self._layers, self._faint, self._forms, DEEPEST)
+
+    def before(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+        """Follow `operator`; empty the operands of one that would show text without ink."""
+        match operator:
+            case b"q":
+                self._stack.append(_copied(self._state))
+            case b"Q" if self._stack:
+                self._state = self._stack.pop()
+            case b"Do" if operands:
+                self._stack.append(_copied(self._state))
+                form = self._forms.get(str(operands[0]), _Empty())
+                self._state.layer |= "/OC" in form and self._is_off(form.raw_get("/OC"))
+            case b"BDC" | b"BMC":
+                self._state.content.append(self._in_hidden_layer(operands))
+            case b"EMC" if self._state.content:
+                self._state.content.pop()
+            case _ if operator in SHOWING and operands:
+                self._show(operands, cm, tm)
+            case _:
+                self._follow(operator, operands)
+
+    def after(self, operator: bytes, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+        """Leave a form as it was entered."""
+        if operator == b"Do" and operands and self._stack:
+            self._state = self._stack.pop()
+
+    def _follow(self, operator: bytes, operands: list[Any]) -> None:
+        """Operators that set the state; an operand that is no number changes nothing."""
+        numbers = [float(value) for value in operands if isinstance(value, (int, float))]
+        if operator == b"Tr" and numbers:
+            self._state.mode = int(numbers[0])
+        elif operator == b"Tf" and numbers:
+            self._state.size = numbers[-1]
+        elif operator in {b"g", b"rg", b"sc", b"scn"} and numbers:
+            self._state.white = len(numbers) in {1, 3} and min(numbers) >= WHITE
+        elif operator == b"k" and numbers:
+            self._state.white = max(numbers) <= 1.0 - WHITE
+        elif operator == b"cs":
+            self._state.white = False
+        elif operator == b"gs" and operands:
+            self._state.faint = self._faint.get(str(operands[0]), self._state.faint)
+
+    def _show(self, operands: list[Any], cm: list[float], tm: list[float]) -> None:
+        a, b, c, d, e, f = _product(tm, cm)
+        scale = sqrt(abs(a * d - b * c))
+        left, bottom, right, top = self._box
+        on_page = left - 1.0 <= e <= right + 1.0 and bottom - 1.0 <= f <= top + 1.0
+        why = self._state.why() or ("tiny text" if abs(self._state.size) * scale < TINY else "")
+        why = why or ("" if on_page else "text off the page")
+        if why:
+            self._lost.setdefault(why, []).append(_words(operands[-1]))
+            operands[-1] = type(operands[-1])()
+
+    def _in_hidden_layer(self, operands: list[Any]) -> bool:
+        if len(operands) < 2 or str(operands[0]) != "/OC":
+            return False
+        return self._is_off(self._layers.get(str(operands[1])))
+
+    def _is_off(self, reference: Any) -> bool:
+        """Whether a layer, or every layer of a membership, is switched off."""
+        if reference is None:
+            return False
+        if getattr(reference, "idnum", None) in self._off:
+            return True
+        members: Any = _at(reference.get_object(), "/OCGs")
+        numbers = [int(one.idnum) for one in members if hasattr(one, "idnum")]
+        return bool(numbers) and self._off.issuperset(numbers)
+
+
+def layers_off(reader: Any) -> frozenset[int]:
+    """Object numbers of the layers that are switched off when the document is opened."""
+    properties = _at(reader.trailer["/Root"], "/OCProperties")
+    start = _at(properties, "/D")
+    shut = start.get("/BaseState") == "/OFF"
+    off: Any = _at(properties, "/OCGs") if shut else _at(start, "/OFF")
+    on: Any = _at(start, "/ON") if shut else ()
+    return frozenset(int(one.idnum) for one in off) - frozenset(int(one.idnum) for one in on)
+
+
+def _at(holder: Any, key: str) -> Any:
+    """What stands under `key` of a dictionary, an empty one if nothing does."""
+    return holder[key].get_object() if key in holder else _Empty()
+
+
+class _Empty(dict[str, Any]):
+    """A dictionary without entries; nothing refers to it."""
+
+
+def _collect(resources: Any, layers: dict[str, Any], faint: dict[str, bool], forms: dict[str, Any], depth: int) -> None:
+    """Layers, opacities and forms by name, of the page and of the forms in it; the more hidden one wins a name."""
+    named = _at(resources, "/Properties")
+    layers.update({str(name): named.raw_get(name) for name in named})
+    states = _at(resources, "/ExtGState")
+    for name in states:
+        alpha: Any = states[name].get_object().get("/ca")
+        if alpha is not None:
+            faint[str(name)] = faint.get(str(name), False) or float(alpha) < FAINT
+    inner = _at(resources, "/XObject")
+    for name in inner:
+        form = inner[name].get_object()
+        forms[str(name)] = form
+        if depth:
+            _collect(_at(form, "/Resources"), layers, faint, forms, depth - 1)
+
+
+def _copied(state: _State) -> _State:
+    twin = copy(state)
+    twin.content = list(state.content)
+    return twin
+
+
+def _product(m: list[float], n: list[float]) -> tuple[float, ...]:
+    """Product m n of two affine maps (a, b, c, d, e, f), rows first (ISO 32000-1, 8.3.4)."""
+    return (
+        m[0] * n[0] + m[1] * n[2], m[0] * n[1] + m[1] * n[3], m[2] * n[0] + m[3] * n[2], m[2] * n[1] + m[3] * n[3],
+        m[4] * n[0] + m[5] * n[2] + n[4], m[4] * n[1] + m[5] * n[3] + n[5],
+    )  # fmt: skip
+
+
+def _words(shown: Any) -> str:
+    parts = cast("list[Any]", shown if isinstance(shown, list) else [shown])
+    return "".join(str(part) for part in parts if isinstance(part, (str, bytes)))

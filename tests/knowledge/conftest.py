@@ -1,0 +1,28 @@
+"""Libraries for tests: a small one of one's own, and one with the shipped documents, by hashed words."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dualbrain.knowledge.library import Library
+from dualbrain.knowledge.shipped import add_shipped
+from dualbrain.memory.hashing import HashingEncoder
+
+NOW = 1_800_000_000.0
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Iterator[Library]:
+    """An empty library that can be written."""
+    with Library(tmp_path / "knowledge.sqlite", HashingEncoder(64), write=True) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
+    """The documents that come with dualbrain; to be read only."""
+    path = tmp_path_factory.mktemp("shipped") / "knowledge.sqlite"
+    with Library(path, HashingEncoder(64), write=True) as opened:
+        add_shipped(opened, now=NOW)
+        yield opened

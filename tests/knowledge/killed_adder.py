@@ -1,0 +1,14 @@
+"""Adds documents for ever, says which were acknowledged, and waits to be killed."""
+
+import sys
+from pathlib import Path
+
+from dualbrain.knowledge.library import Library, Submission
+from dualbrain.memory.hashing import HashingEncoder
+
+with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as library:
+    for number in range(10_000):
+        words = f"# Document {number}\n\nIt says {number} and nothing else that would matter to anybody.\n"
+        library.add(Submission(f"d{number % 7}.md", words.encode(), "site"), now=float(number))
+        sys.stdout.write(f"{number}\n")
+        sys.stdout.flush()

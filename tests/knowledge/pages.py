@@ -1,0 +1,58 @@
+"""PDF files made for tests, page by page from raw content streams."""
+
+from io import BytesIO
+from typing import Any
+
+from pypdf import PdfWriter
+from pypdf.generic import (
+    ArrayObject,
+    DecodedStreamObject,
+    DictionaryObject,
+    FloatObject,
+    NameObject,
+    PdfObject,
+    TextStringObject,
+)
+
+
+def say(words: str, x: float = 72, y: float = 700, before: str = "", size: float = 12) -> str:
+    """The operators that show `words`; `before` sets the state first."""
+    return f"q BT /F1 {size} Tf {before} {x} {y} Td ({words}) Tj ET Q\n"
+
+
+def table(**entries: PdfObject) -> DictionaryObject:
+    return DictionaryObject({NameObject(f"/{name}"): value for name, value in entries.items()})
+
+
+def pdf(*contents: str, off: str = "", password: str = "", compress: bool = False, form: str = "") -> bytes:
+    """A PDF with one page for each content stream.
+
+    Resources: font /F1, /Ghost (a graphics state that is transparent), /MC0 (a layer called `off`, switched off), /Form
+    (a form that draws `form`).
+    """
+    writer: Any = PdfWriter()
+    font = table(Type=NameObject("/Font"), Subtype=NameObject("/Type1"), BaseFont=NameObject("/Helvetica"))
+    resources = table(Font=table(F1=font), ExtGState=table(Ghost=table(ca=FloatObject(0.0))))
+    if off:
+        layer = writer._add_object(table(Type=NameObject("/OCG"), Name=TextStringObject(off)))
+        resources[NameObject("/Properties")] = table(MC0=layer)
+        start = table(OFF=ArrayObject([layer]))
+        writer._root_object[NameObject("/OCProperties")] = table(OCGs=ArrayObject([layer]), D=start)
+    if form:
+        drawn = DecodedStreamObject()
+        drawn.set_data(form.encode("latin-1"))
+        box = ArrayObject([FloatObject(edge) for edge in (0, 0, 612, 792)])
+        drawn.update(table(Type=NameObject("/XObject"), Subtype=NameObject("/Form"), BBox=box))
+        drawn[NameObject("/Resources")] = table(Font=table(F1=font))
+        resources[NameObject("/XObject")] = table(Form=writer._add_object(drawn))
+    for content in contents:
+        page = writer.add_blank_page(width=612, height=792)
+        page[NameObject("/Resources")] = resources
+        stream = DecodedStreamObject()
+        stream.set_data(content.encode("latin-1"))
+        page[NameObject("/Contents")] = writer._add_object(stream.flate_encode() if compress else stream)
+    if password:
+        writer.encrypt(password, algorithm="RC4-128")
+    out = BytesIO()
+    writer.write(out)
+    return out.getvalue()

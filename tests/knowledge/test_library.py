@@ -1,0 +1,279 @@
+"""The library: versions, removal, trust, one writer, kills, other encoders, damaged files."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
+from dualbrain.knowledge import shelf
+from dualbrain.knowledge.citation import Citation
+from dualbrain.knowledge.library import Addition, Library, Submission
+from dualbrain.knowledge.refusal import DamagedStore, Refused, StoreInUse
+from dualbrain.knowledge.shipped import SHIPPED, add_shipped
+from dualbrain.memory.hashing import HashingEncoder
+
+NOTE = "# Note on cups\n\nCups are lifted with both fingers and little force, never by the handle.\n"
+OTHER = "# Note on cups\n\nCups may be lifted by the handle if it is strong enough to bear them.\n"
+
+
+def put(library: Library, text: str = NOTE, **changed: object) -> Addition:
+    facts: dict[str, object] = {"file": "cups.md", "data": text.encode(), "trust": "site"}
+    done = library.add(Submission(**(facts | changed)), now=1.0)  # pyright: ignore[reportArgumentType]
+    assert isinstance(done, Addition), done
+    return done
+
+
+def test_a_document_that_is_added_is_found_and_quoted(library: Library) -> None:
+    done = put(library)
+    assert (done.change, done.document.title, done.document.kind) == ("new", "Note on cups", "manual")
+    for by in ("both", "words", "meaning"):
+        hit = library.search("how are cups lifted", by=by)[0]
+        assert library.quote(hit.citation) == hit.text
+        assert "both fingers" in hit.text
+    assert put(library).change == "unchanged"
+    assert len(library.history("cups")) == 1
+
+
+def test_a_changed_document_is_a_new_version_and_old_citations_still_resolve(library: Library) -> None:
+    old = library.search("cups", 1) or (put(library) and library.search("cups", 1))
+    done = put(library, OTHER)
+    assert done.change == "new version"
+    assert [hit.text for hit in library.search("cups")] == [OTHER.split("\n\n")[1].strip()]
+    assert library.quote(old[0].citation) == old[0].text == NOTE.split("\n\n")[1].strip()
+    assert put(library).change == "restored"
+    assert library.search("cups")[0].text == old[0].text
+    assert [one.version for _, one in library.history("cups") if one] == [
+        old[0].citation.version,
+        done.document.version,
+        old[0].citation.version,
+    ]
+
+
+def test_what_is_removed_is_found_no_more_but_can_be_quoted(library: Library) -> None:
+    put(library)
+    cited = library.search("cups")[0]
+    library.remove("cups", now=2.0)
+    assert (library.documents(), library.search("cups"), len(library)) == ((), (), 0)
+    assert library.quote(cited.citation) == cited.text
+    with pytest.raises(UnknownName):
+        library.remove("cups", now=3.0)
+    assert put(library).change == "restored"
+
+
+def test_the_store_says_the_same_when_it_is_opened_again(library: Library, tmp_path: Path) -> None:
+    put(library)
+    put(library, "# Plates\n\nPlates are stacked by size, the largest one below all others.\n", file="plates.md")
+    put(library, OTHER)
+    expected = library.search("cups and plates", 9)
+    with Library(tmp_path / "knowledge.sqlite", HashingEncoder(64)) as again:
+        assert again.search("cups and plates", 9) == expected
+        assert again.documents() == library.documents()
+
+
+def test_trust_decides_who_is_heard(library: Library) -> None:
+    put(library)
+    done = library.add(Submission("blog.md", OTHER.encode()), now=1.0)
+    assert isinstance(done, Addition)
+    assert done.document.trust == "unknown"
+    assert {hit.trust for hit in library.search("cups handle")} == {"site", "unknown"}
+    assert {hit.trust for hit in library.search("cups handle", least="vendor")} == {"site"}
+    best = library.search("cups lifted", 1)[0]
+    twin = put(library, NOTE, file="twin.md", trust="unknown")
+    assert library.search("cups lifted", 1)[0].citation == best.citation
+    assert put(library, NOTE, file="twin.md", trust="site").change == "relabelled"
+    assert twin.document.version == library.document("twin").version
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"file": "Über größe!!.md", "name": "../x"},
+        {"file": "x.docx"},
+        {"kind": "map"},
+        {"file": "m.toml", "kind": "template"},
+    ],
+)
+def test_a_bad_submission_is_refused_and_leaves_no_trace(library: Library, changed: dict[str, str]) -> None:
+    facts = {"file": "cups.md", "data": NOTE.encode()} | changed
+    assert isinstance(library.add(Submission(**facts), now=1.0), Refused)  # pyright: ignore[reportArgumentType]
+    assert library.documents() == ()
+
+
+def test_a_citation_that_leads_nowhere_is_refused(library: Library) -> None:
+    version = put(library).document.version
+    for citation in (
+        Citation("cups", "0" * 64, 0, 5),
+        Citation("mugs", version, 0, 5),
+        Citation("cups", version, 0, 10**6),
+        Citation("cups", version, -3, 5),
+    ):
+        assert isinstance(library.quote(citation), Refused)
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["", "   ", '"', "NEAR(", "a AND", "col:x", "*", "x" * 50_000, "\0", "💥", "'; DROP TABLE reading; --", "OR"],
+)
+def test_any_question_is_taken(library: Library, query: str) -> None:
+    put(library)
+    for by in ("both", "words", "meaning"):
+        assert len(library.search(query, by=by)) <= 5
+
+
+def test_another_encoder_is_refused_until_everything_is_made_again(library: Library, tmp_path: Path) -> None:
+    put(library)
+    path = tmp_path / "knowledge.sqlite"
+    with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+        Library(path, HashingEncoder(32))
+    with Library(path, HashingEncoder(32), write=True) as other:
+        with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+            other.search("cups")
+        with pytest.raises(InvalidSetup, match="knowledge rebuild"):
+            put(other, OTHER)
+        assert other.search("cups", by="words")
+        assert other.rebuild() == 1
+        assert other.search("cups", by="meaning")
+    with Library(path, None) as words_only:
+        assert words_only.search("cups", by="words")
+        with pytest.raises(InvalidSetup, match="encoder"):
+            words_only.search("cups")
+
+
+def test_projections_made_again_are_the_same(library: Library) -> None:
+    put(library)
+    put(library, "# Plates\n\nPlates are stacked by size, the largest one below all others.\n", file="plates.md")
+    before = {by: library.search("cups and plates", 9, by=by) for by in ("both", "words", "meaning")}
+    library.rebuild()
+    assert {by: library.search("cups and plates", 9, by=by) for by in ("both", "words", "meaning")} == before
+
+
+def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
+    put(library)
+    other = sqlite3.connect(tmp_path / "knowledge.sqlite")
+    for statement in (
+        "DELETE FROM event",
+        "UPDATE reading SET data = x''",
+        "DELETE FROM chunk",
+        "UPDATE chunk SET start = 0",
+    ):
+        with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+            other.execute(statement)
+    other.close()
+
+
+def test_a_second_writer_waits_and_is_told(library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shelf, "WAIT_S", 0.1)
+    path = tmp_path / "knowledge.sqlite"
+    with Library(path, HashingEncoder(64), write=True) as second:
+        blocker = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        blocker.execute("BEGIN IMMEDIATE")
+        with pytest.raises(StoreInUse, match="another process"):
+            put(second)
+        with Library(path, HashingEncoder(64)) as reader:
+            assert reader.documents() == ()
+        timer = threading.Timer(0.02, lambda: blocker.execute("ROLLBACK"))
+        timer.start()
+        timer.join()
+        assert put(second).change == "new"
+        blocker.close()
+
+
+def test_writers_of_several_processes_lose_nothing(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from dualbrain.knowledge.library import *; "
+        "from dualbrain.memory.hashing import HashingEncoder\n"
+        "with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as l:\n"
+        "  for n in range(8):\n"
+        "    text = f'# D{n}\\n\\nwords of {sys.argv[2]} that are its own {n}'\n"
+        "    l.add(Submission(f'{sys.argv[2]}-{n}.md', text.encode()), now=1.0)\n"
+    )
+    path = tmp_path / "k.sqlite"
+    writers = [
+        subprocess.Popen([sys.executable, *(["-S"] if sys.flags.no_site else []), "-c", code, str(path), name])
+        for name in "ab"
+    ]
+    assert [one.wait(60) for one in writers] == [0, 0]
+    with Library(path, HashingEncoder(16)) as library:
+        assert len(library.documents()) == 16
+        assert len(library.search("words", 50, by="meaning")) == 16
+
+
+def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
+    path = tmp_path / "k.sqlite"
+    script = Path(__file__).with_name("killed_adder.py")
+    for attempt in range(4):
+        command = [sys.executable, *(["-S"] if sys.flags.no_site else []), str(script), str(path)]
+        adder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path.cwd())
+        assert adder.stdout is not None
+        said = [adder.stdout.readline() for _ in range(3 + attempt)]
+        time.sleep(0.003 * attempt)
+        os.kill(adder.pid, signal.SIGKILL)
+        said += adder.stdout.readlines()
+        adder.wait()
+        adder.stdout.close()
+        last = int([line for line in said if line.endswith("\n")][-1])
+        with Library(path, HashingEncoder(16)) as library:
+            name = f"d{last % 7}"
+            assert any(f"Document {last}" in one.title for _, one in library.history(name) if one)
+            for document in library.documents():
+                assert library.search(document.title, 9, by="words")
+                for citation, text in library.chunks_of(document.name):
+                    assert library.quote(citation) == text
+            assert len(library.search("anything", 99, by="meaning")) == len(library)
+
+
+def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MissingPart, match="knowledge add"):
+        Library(tmp_path / "none.sqlite", None)
+    noise = tmp_path / "noise.sqlite"
+    noise.write_bytes(b"this is no database at all, " * 100)
+    foreign = tmp_path / "foreign.sqlite"
+    sqlite3.connect(foreign).execute("CREATE TABLE t (x)").connection.close()
+    for path in (noise, foreign):
+        for write in (False, True):
+            with pytest.raises(DamagedStore, match=path.name):
+                Library(path, None, write=write)
+
+
+def test_a_store_of_the_future_is_refused(library: Library, tmp_path: Path) -> None:
+    other = sqlite3.connect(tmp_path / "knowledge.sqlite")
+    other.execute("UPDATE meta SET value = '99' WHERE key = 'schema_version'").connection.commit()
+    other.close()
+    with pytest.raises(InvalidSetup, match="schema_version"):
+        Library(tmp_path / "knowledge.sqlite", None)
+
+
+def test_a_store_on_a_disk_that_cannot_be_written_can_be_read(library: Library, tmp_path: Path) -> None:
+    put(library)
+    library.close()
+    path = tmp_path / "knowledge.sqlite"
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]  # one file at rest
+    path.chmod(0o444)
+    tmp_path.chmod(0o555)
+    try:
+        with Library(path, HashingEncoder(64)) as reader:
+            assert reader.search("cups")
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_the_shipped_documents_go_up_once_and_stay_away_when_removed(library: Library) -> None:
+    assert len(add_shipped(library, now=1.0)) == len(SHIPPED)
+    assert add_shipped(library, now=2.0) == ()
+    library.remove("ur5e-notes", now=3.0)
+    own = put(
+        library,
+        "# Our rules\n\nOn this site nothing is lifted above shoulder height by a robot.\n",
+        file="site-rules.md",
+        kind="rule",
+    )
+    assert add_shipped(library, now=4.0) == ()
+    assert library.document("site-rules").version == own.document.version
+    assert "ur5e-notes" not in {one.name for one in library.documents()}
