@@ -197,14 +197,28 @@ class ActionResult(Record, frozen=True):
     Delta: float
 
 
-OutcomeClass = Literal["succeeded", "failed", "taken_over", "rejected", "declined", "aborted", "stopped"]
+OutcomeClass = Literal[
+    "succeeded",
+    "failed",
+    "taken_over",
+    "rejected",
+    "declined",
+    "aborted",
+    "stopped",
+    "paused",
+    "slowed",
+    "handed_over",
+    "emergency",
+]
 
 
 class Outcome(Record, frozen=True):
     """The robot's own verdict on an episode (r and Δ of paper 5.1); simulator truth never enters it.
 
     `Delta` is None when no control was executed (a rejected or declined contract). `taken_over` means that the local
-    layer ended the contract; `aborted` that a person did; `stopped` that a fault did.
+    layer ended the contract; `aborted` that a person did; `stopped` that a fault did. A person's hand has classes of
+    its own, from which nothing is learnt: `paused` and `slowed` contracts were finished after a pause or below full
+    speed, `handed_over` ones ended because a person took the robot, `emergency` ones in an emergency stop.
     """
 
     kind: OutcomeClass

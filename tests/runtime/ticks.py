@@ -21,6 +21,7 @@ class Answer:
     certified: bool = True
     iterations: int = 3
     n_rows: int = 90
+    delta_supervisor: float = 0.0
 
 
 def fill(trace: Trace, count: int, *, start: float = 0.0, odd: bool = False) -> list[Array]:

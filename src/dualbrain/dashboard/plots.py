@@ -204,10 +204,17 @@ def _mark_least(axes: Axes, trace: Trace) -> None:
 
 
 def _draw_intervention(axes: Axes, trace: Trace) -> None:
-    _title(axes, "Intervention δ", "share of full speed, by cause", ("safety rows", RED), ("actuator box", SKY))
+    _title(
+        axes,
+        "Intervention δ",
+        "share of full speed, by cause",
+        ("safety rows", RED),
+        ("actuator box", SKY),
+        ("supervisor", MUTED),
+    )
     _shade(axes, trace)
     axes.grid(axis="y")
-    for name, colour in (("delta_rows", RED), ("delta_box", SKY)):
+    for name, colour in (("delta_rows", RED), ("delta_box", SKY), ("delta_supervisor", MUTED)):
         t, y = envelope(trace["t"], np.nan_to_num(trace[name], nan=2.0))
         axes.fill_between(t, y, color=colour, alpha=0.22, linewidth=0)
         axes.plot(t, y, color=colour, linewidth=1.2)

@@ -23,7 +23,8 @@ from dualbrain.safety.barriers import BARRIERS
 
 TONES = {
     "succeeded": "good", "failed": "bad", "taken_over": "warn", "rejected": "warn", "declined": "quiet",
-    "aborted": "warn", "stopped": "bad", "done": "good", "not_run": "quiet",
+    "aborted": "warn", "paused": "warn", "slowed": "warn", "handed_over": "warn", "emergency": "bad", "stopped": "bad",
+    "done": "good", "not_run": "quiet",
 }  # fmt: skip
 STAGES = ("syntax", "authorization", "envelope")
 PICTURE_WIDTH = 480

@@ -50,6 +50,10 @@ class Robot(Protocol):
         """Disable the drive (stop category 0): brakes engage and stay engaged until the robot is enabled again."""
         ...
 
+    def enable(self) -> None:
+        """Release the brakes with a velocity command of zero; only the supervisor's order decides when."""
+        ...
+
 
 def at_home(body: Body) -> RobotState:
     """The state of `body` at rest in its home posture with open fingers, at time 0."""

@@ -22,8 +22,12 @@ LESSONS: Mapping[OutcomeClass, Lesson] = {
     "declined": "none",
     "aborted": "none",
     "stopped": "none",
+    "paused": "none",
+    "slowed": "none",
+    "handed_over": "none",
+    "emergency": "none",
 }
-"""What an outcome says of its contract. A decline, a person's abort and a fault say nothing of it: such episodes are
+"""What an outcome says of its contract. A decline, a person's hand and a fault say nothing of it: such episodes are
 kept, but they are offered to no one and change no weight."""
 
 STORED = (

@@ -1,7 +1,8 @@
-"""The local layer in lockstep: an accepted contract becomes nominal control, filtered control and motion, tick by tick.
+"""The local layer: an accepted contract becomes nominal control, filtered control and motion, tick by tick.
 
-One tick: sense → skill's nominal control φ(c, x) → filter → write → log → advance. Nothing from a planner is believed
-here; a contract arrives as the gate accepted it.
+One tick: order → skill's nominal control φ(c, x) → filter → write → log → advance → sense. Nothing from a planner is
+believed here; a contract arrives as the gate accepted it. Whatever is wrong becomes a condition, and the supervisor's
+order decides what is done about it, the same in lockstep and in real time.
 """
 
 from __future__ import annotations
@@ -19,32 +20,37 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
 from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.scene_watch import SceneWatch, believed
 from dualbrain.runtime.steady import Steady
+from dualbrain.safety.checks import CHECKS
+from dualbrain.safety.condition import Condition
 from dualbrain.safety.filter import Filtered, SafetyFilter
 from dualbrain.safety.held import cover
 from dualbrain.safety.obstacles import from_scene
+from dualbrain.safety.order import FREE, Cause, Order, Rung
 from dualbrain.safety.permit import Contact
-from dualbrain.safety.result import Status as FilterStatus
+from dualbrain.safety.spine import Spine
+from dualbrain.safety.timing import SIMULATED, Timing
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Holding, Nominal, Senses, Status, Touch
 from dualbrain.skills.vocabulary import Running
 
 Array = NDArray[np.float64]
 
-INFEASIBLE_FOR = 0.05
-"""An infeasible filter brakes and clears by itself for this long [s]; then the contract is taken over."""
-BROKEN_FOR = 0.05
-"""A stopped or faulty filter for this long [s] ends the contract."""
 LONGEST = 300.0
 """An action that has not ended by itself after this long [s] is taken over: people may come by again and again."""
-MISSED = 0.5
-"""A person who was not seen for this long [s] may be anywhere: the filter is told that its scene is that old."""
 LET_GO = 0.5
 """For this long after it was let go a thing is believed to fall and roll [s]."""
-INTERRUPTED = Ending(Status.RUNNING, "interrupted by a person")
+INTERRUPTED = "interrupted by a person"
 """How an action ends when a person wants the robot to stop."""
 IDLE = -1
 """Action index of ticks outside a contract."""
+
+
+ATTENDED: dict[str, OutcomeClass] = {"paused": "paused", "speed_stage": "slowed"}
+"""What a person's hand makes of a contract that was finished all the same."""
+BROKEN_OFF = ("aborted", "stopped", "handed_over", "emergency")
+"""Outcomes that a fault on the way to rest does not outrank."""
 
 
 class Surroundings(Protocol):
@@ -69,6 +75,7 @@ class Moment:
     result: Filtered
     action: int
     skill: str
+    order: Order = FREE
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +99,23 @@ class LocalLayer:
         self, body: Body, robot: Robot, surroundings: Surroundings, safety: SafetyFilter, log: FlightLog,
         config: LayerConfig, *, watch: Callable[[Moment], None] | None = None,
         phase_changed: Callable[[str, dict[str, str | None]], None] | None = None,
-        interrupted: Callable[[], bool] = lambda: False,
+        interrupted: Callable[[], bool] = lambda: False, clock: Callable[[], float] | None = None,
+        asked: Callable[[], int] = lambda: 0, timing: Timing = SIMULATED,
     ) -> None:  # fmt: skip
-        """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop."""
+        """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop.
+
+        `asked` gives the `Condition` bits that hold outside (operator, link), once a tick. `clock` [s] is the layer's
+        own, independent of the robot's stamps; without one, the newest state's stamp is the time.
+        """
         self.body, self.robot, self.surroundings, self.safety = body, robot, surroundings, safety
         self.log, self.config = log, config
         self.limb = Limb(body, safety)
-        self.interrupted = interrupted
+        self.interrupted, self._asked, self._clock = interrupted, asked, clock
+        self.spine = Spine(safety, timing=timing)
+        self._on = True
+        self._attended: set[str] = set()
+        self._waited = 0.0
+        self._said = FREE
         self._watch = watch
         self._phase_changed = phase_changed
         self._roles: dict[str, str | None] = {}
@@ -106,12 +123,13 @@ class LocalLayer:
         self._touches: tuple[Touch, ...] = ()
         self._holding: Holding | None = None
         self._ticks = 0
-        self._bad = 0
         self._skill = ""
         self.state = robot.read()
-        self._steady = Steady()
+        self._steady, self._eye = Steady(), SceneWatch()
+        self._answer: Filtered | None = None
         self._let_go: tuple[str, float] = ("", -LET_GO)
         self.scene = self._steady.update(surroundings.look())
+        self._eye.update(self.scene)
         self._observe()
         self._sense()
 
@@ -124,29 +142,40 @@ class LocalLayer:
         """
         self._skill = phase
         for _ in range(round(duration / self.body.period)):
-            nominal = self.limb.rest(phase)
-            self._tick(replace(nominal, phase=self._phase or phase, touches=self._touches), IDLE)
+            self._rest(phase, IDLE)
 
     def run(self, contract: Contract) -> Outcome:
         """Carry out `contract`; the outcome is the robot's own verdict, never simulator truth.
 
-        However it ends, the arm brakes to rest through the filter; after an interruption or a fault the drive goes off.
-        What raises in here is a fault: the drive goes off at once, and the outcome says what it was.
+        However it ends, the arm brakes to rest through the filter; what the drive does is the supervisor's order. What
+        raises in here is a fault: the drive goes off at once, and the outcome says what it was.
         """
         first = len(self.log.trace)
+        self._attended.clear()
+        if self.spine.order.action >= Rung.CONTROLLED_STOP:
+            self._continue()
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
         for index, action in enumerate(contract.action_sequence):
             result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
             results.append(result)
         kind, fault = self._settle(kind)
-        if kind in ("aborted", "stopped"):
-            self.robot.stop()
-            self.log.note(self.state.stamp, "fault", "at rest, drive off, brakes on")
-        elif contract.action_sequence[0].skill == "decline":
+        if contract.action_sequence[0].skill == "decline" and kind == "succeeded":
             kind = "declined"
+        elif kind == "succeeded":
+            kind = self._as_attended()
         bad = next((result for result in results if result.status not in ("done", "not_run")), results[-1])
         return self.log.outcome(kind, fault or bad.reason, first, tuple(results))
+
+    def _as_attended(self) -> OutcomeClass:
+        """A contract that went well, as a person's hand has it."""
+        return next((kind for name, kind in ATTENDED.items() if name in self._attended), "succeeded")
+
+    def _continue(self) -> None:
+        """A new contract leads out of a controlled stop whose condition is gone; not out of what needs a person."""
+        self.spine.flag(Condition.CONTINUE)
+        self._rest("continue", IDLE)
+        self._rest("continue", IDLE)
 
     def _settle(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
         """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already."""
@@ -156,7 +185,7 @@ class LocalLayer:
             self._permit(())
         except Exception as error:
             why = self._broken(error).reason
-            return (kind, "") if kind in ("aborted", "stopped") else ("stopped", why)
+            return (kind, "") if kind in BROKEN_OFF else ("stopped", why)
         return kind, ""
 
     # --- one action ---------------------------------------------------------------------------------------------
@@ -174,73 +203,130 @@ class LocalLayer:
         self.log.note(self.state.stamp, "action", f"{action.skill}: {ending.reason}", status=ending.status.value)
         kinds: dict[Status, OutcomeClass] = {
             Status.DONE: "succeeded", Status.FAILED: "failed", Status.TAKEN_OVER: "taken_over",
-            Status.RUNNING: "stopped",
+            Status.RUNNING: self._broken_off(ending),
         }  # fmt: skip
         status = "stopped" if ending.status is Status.RUNNING else ending.status.value
-        kind = "aborted" if ending is INTERRUPTED else kinds[ending.status]
+        kind = kinds[ending.status]
         Delta = self.log.mean_delta(first)
         return ActionResult(action.skill, status, ending.reason, started, self.state.stamp, Delta), kind
 
+    def _broken_off(self, ending: Ending) -> OutcomeClass:
+        """The outcome of an action that neither ended by itself nor was taken over."""
+        return "aborted" if ending.reason == INTERRUPTED else self.spine.ending or "stopped"
+
     def _carry_out(self, running: Running, index: int) -> Ending:
-        """Tick until the story ends or is taken over; a stop for a fault ends with status RUNNING."""
-        self._bad = 0
+        """Tick until the story ends or is ended; an end by the supervisor's order has status RUNNING."""
         end = self.state.stamp + LONGEST
         while not self.interrupted():
-            nominal = running.nominal(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
+            if why := self._called_off():
+                return why
+            if self.spine.order.action >= Rung.HOVER:  # paused: the story waits, and so does its patience
+                self._rest("paused", index)
+                self._waited, end = self._waited + self.body.period, end + self.body.period
+                continue
+            nominal = running.nominal(self._senses())
             if isinstance(nominal, Ending):
                 return nominal
             if self.state.stamp > end:
                 return Ending(Status.TAKEN_OVER, f"{nominal.phase}: not done after {LONGEST:.0f} s")
-            result = self._tick(nominal, index)
-            if why := self._given_up(result):
-                return why
+            self._answer = self._tick(nominal, index)
+            if self.spine.touched < 1.0:
+                self._waited += (1.0 - max(0.0, self.spine.touched)) * self.body.period
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")
-        return INTERRUPTED
+        return Ending(Status.RUNNING, INTERRUPTED)
+
+    def _called_off(self) -> Ending | None:
+        """How the supervisor ends the contract, if it does."""
+        ending = self.spine.ending
+        if not ending:
+            return None
+        check = next(
+            check for check in reversed(CHECKS) if check.name in self.spine.supervisor.tripped and check.ending
+        )
+        detail = f": {self._answer.explain()}" if check.cause is Cause.FILTER and self._answer else ""
+        status = Status.TAKEN_OVER if ending == "taken_over" else Status.RUNNING
+        return Ending(status, f"{check.says}{detail}")
 
     def _broken(self, error: Exception) -> Ending:
         """A fault of the program or of its inputs: the drive goes off at once, and what it was is noted."""
         self.robot.stop()
+        self._on = False
+        self.spine.flag(Condition.PROGRAM_ERROR)
         why = f"{type(error).__name__}: {error}"
         self.log.note(self.state.stamp, "fault", why, traceback=traceback.format_exc())
         return Ending(Status.RUNNING, why)
 
-    def _given_up(self, result: Filtered) -> Ending | None:
-        if result.status < FilterStatus.RELAXED:
-            self._bad = 0
-            return None
-        self._bad += 1
-        if result.status == FilterStatus.RELAXED and self._bad * self.body.period > INFEASIBLE_FOR:
-            return Ending(Status.TAKEN_OVER, f"no safe control for {INFEASIBLE_FOR * 1e3:.0f} ms: {result.explain()}")
-        if result.status > FilterStatus.RELAXED and self._bad * self.body.period > BROKEN_FOR:
-            return Ending(Status.RUNNING, f"filter {FilterStatus(result.status).name}: {result.explain()}")
-        return None
-
     # --- one tick -----------------------------------------------------------------------------------------------
 
+    @property
+    def now(self) -> float:
+        """The layer's own time [s]."""
+        return self._clock() if self._clock else self.state.stamp
+
+    def _rest(self, phase: str, action: int) -> Filtered:
+        """One tick of standing still; contacts that the last phase allowed stay allowed."""
+        nominal = self.limb.rest(phase)
+        return self._tick(replace(nominal, phase=self._phase or phase, touches=self._touches), action)
+
     def _tick(self, nominal: Nominal, action: int) -> Filtered:
-        now = self.state.stamp
+        now = self.now
+        order = self._judge(now)
         if nominal.phase != self._phase or nominal.holding is not self._holding:
             self._change(nominal)
             nominal = replace(nominal, u=self.limb.reconsider(nominal.u))
-        result = self.safety.filter(self.state, nominal.u, now)
-        if not self.config.guard:
-            result = result.unfiltered()
-        self.robot.write(Command(result.u, nominal.opening, nominal.force))
-        self.log.tick(now, self.state, nominal.u, result, action, nominal.phase)
+        result = self.spine.control(self.state, nominal.u, now, guard=self.config.guard)
+        if self.spine.driving:
+            self.robot.write(Command(result.u, nominal.opening, nominal.force))
+        self.log.tick(
+            now, self.state, nominal.u, result, action, nominal.phase, order=order.action, touched=self.spine.touched
+        )  # fmt: skip
         if self._watch and self._ticks % self.config.watch_every == 0:
-            self._watch(Moment(self.state, self.scene, nominal, result, action, self._skill))
+            self._watch(Moment(self.state, self.scene, nominal, result, action, self._skill, order))
         self.surroundings.advance()
         self._ticks += 1
         self._sense()
         return result
 
+    def _judge(self, now: float) -> Order:
+        """This tick's order, told when it is another one; the drive follows it."""
+        asked = self._asked()
+        if self.interrupted():
+            asked |= Condition.INTERRUPT
+        order = self.spine.judge(self.state, now, asked)
+        if order is not self._said:
+            self._said = order
+            self._attended.add(order.check)
+            self.log.note(self.state.stamp, "order", f"{order.action.name}: {order.check or 'all clear'}",
+                          action=order.action.name, cause=order.cause.value, check=order.check)  # fmt: skip
+        if self.spine.driving != self._on:
+            self._on = self.spine.driving
+            (self.robot.enable if self._on else self.robot.stop)()
+            self.log.note(self.state.stamp, "fault" if not self._on else "order",
+                          "drive on, standing" if self._on else "drive off, brakes on")  # fmt: skip
+        return order
+
     def _sense(self) -> None:
-        self.state = self.robot.read()
+        """Take in the newest joint state and, now and then, the scene; what cannot be is flagged and not used."""
+        state = self.robot.read()
+        now = self._clock() if self._clock else state.stamp
+        if self.spine.sensed(state, now):
+            self.state = state
         if self._ticks % self.config.look_every == 0:
-            self.scene = self._steady.update(self.surroundings.look(), self._unsteady())
-            self.log.scene(self.scene)
-            self._observe()
-        self.limb.sense(Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q)))
+            self._look()
+        self.spine.flag(self._eye.age(self.scene, now))
+        self.limb.sense(self._senses())
+
+    def _look(self) -> None:
+        seen = self.surroundings.look()
+        if wrong := self._eye.update(seen):
+            self.spine.flag(wrong)
+            return
+        self.scene = self._steady.update(seen, self._unsteady())
+        self.log.scene(self.scene)
+        self._observe()
+
+    def _senses(self) -> Senses:
+        return Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q), self._waited)
 
     def _unsteady(self) -> tuple[str, ...]:
         """What moves with the hand, or has just left it."""
@@ -293,15 +379,6 @@ class LocalLayer:
         obstacles, stamp = from_scene(self.scene, known=known, held=held), believed(self.scene)
         self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
         self.safety.observe(obstacles, stamp)
-
-
-def believed(scene: Scene) -> float:
-    """The stamp [s] to judge the scene's age by: its own, or that of a person who has not been seen for too long.
-
-    A person is carried forward along the last velocity for a while; after `MISSED` the filter must stop instead.
-    """
-    seen = min((thing.stamp for thing in scene.objects if thing.role == "person"), default=scene.stamp)
-    return scene.stamp if scene.stamp - seen < MISSED else seen
 
 
 def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:

@@ -34,9 +34,14 @@ class FlightLog:
         self.trace, self.recorder, self._announce = trace, recorder, announce
         self.binding: Counter[str] = Counter()
 
-    def tick(self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str) -> None:
-        """Log one control tick."""
-        row = self.trace.append(now, state, u_nom, result, action=action, phase=phase)
+    def tick(
+        self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str, *,
+        order: int = 0, touched: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Log one control tick; `order` and `touched` say what the supervisor did to it."""
+        row = self.trace.append(
+            now, state, u_nom, result, action=action, phase=phase, order=order, touched=touched
+        )  # fmt: skip
         if action >= 0 and result.rows:
             self.binding.update(result.barriers)
         if self.recorder:

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 FORMAT = "dualbrain-1"
 METADATA = "dualbrain"
 MAGIC = b"\x89MCAP0\r\n"
+UNSUPERVISED = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
+"""What recordings from before there was a supervisor leave out: nothing stood above the filter."""
 
 
 class EpisodeInfo(msgspec.Struct, frozen=True):
@@ -71,7 +73,10 @@ class Ticks(msgspec.Struct, frozen=True):
         where = columns(self.n)
         rows = np.empty((len(self.columns["t"]), where["phase"].stop))
         for name, place in where.items():
-            rows[:, place] = np.asarray(self.columns[name], np.float64).reshape(len(rows), -1)
+            if name in self.columns or name not in UNSUPERVISED:
+                rows[:, place] = np.asarray(self.columns[name], np.float64).reshape(len(rows), -1)
+            else:
+                rows[:, place] = UNSUPERVISED[name]
         return rows
 
 

@@ -22,6 +22,9 @@ from dualbrain.runtime.trace import columns
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.obstacles import Obstacle
 from dualbrain.safety.permit import Contact
+from dualbrain.safety.result import Filtered
+from dualbrain.safety.spine import BRAKED, STANDING, UNTOUCHED
+from dualbrain.safety.supervised import supervised
 
 Array = NDArray[np.float64]
 
@@ -90,6 +93,21 @@ class _Machine:
             case _:
                 raise InvalidSetup("recorded call", got=name, allowed="observe, permit, attach, detach")
 
+    def _answer(self, state: RobotState, part: dict[str, Array], now: float, touched: float) -> Filtered | None:
+        """The control as the supervisor let it be written; None where braking stood in for a broken filter."""
+        u_nom = part["u_nom"]
+        wish = u_nom if touched == UNTOUCHED else max(0.0, touched) * u_nom
+        got = self._filter.filter(state, wish, now)
+        if not self._guard:
+            got = got.unfiltered()
+        if touched == BRAKED:
+            self._filter.reset(part["u"])
+            return None
+        if touched == STANDING:
+            self._filter.reset(0.0)
+            return supervised(got, u_nom, np.zeros_like(got.u))
+        return got if touched == UNTOUCHED else supervised(got, u_nom, got.u)
+
     def compare(self, row: Array, result: Replay) -> None:
         """Compute one tick again and note how it differs from the recorded one."""
         part = {name: row[where] for name, where in self._where.items()}
@@ -98,9 +116,11 @@ class _Machine:
             float(part["stamp"][0]), int(part["sequence"][0]), part["q"], part["v"], float(part["opening"][0]), forces,
             bool(part["drive"][0]),
         )  # fmt: skip
-        got = self._filter.filter(state, part["u_nom"], float(part["t"][0]))
-        if not self._guard:
-            got = got.unfiltered()
+        touched = float(part["touched"][0])
+        got = self._answer(state, part, float(part["t"][0]), touched)
+        if got is None:
+            result.ticks += 1
+            return
         again = {"u": got.u, "delta": got.delta, "h_min": got.h_min, "status": float(got.status)}
         same = all(np.array_equal(part[name], np.atleast_1d(again[name]), equal_nan=True) for name in COMPARED)
         if not same:

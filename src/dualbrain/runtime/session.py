@@ -181,7 +181,7 @@ class Session:
         layer = LocalLayer(
             self.body, self.plant, world, SafetyFilter(self.body), log, LayerConfig(guard=config.guard),
             watch=onlooker.moment, phase_changed=phase_changed,
-            interrupted=lambda: self._interrupted,
+            interrupted=lambda: self._interrupted, clock=lambda: self.plant.now,
         )  # fmt: skip
         given = config.contract is not None
         errand = Errand(

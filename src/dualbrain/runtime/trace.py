@@ -24,7 +24,18 @@ DEAD_BAND = 1e-4
 BLOCK = 4096
 
 EventKind = Literal[
-    "verdict", "action", "phase", "intervention", "takeover", "perception", "planner", "memory", "fault", "recorder"
+    "verdict",
+    "action",
+    "phase",
+    "intervention",
+    "takeover",
+    "perception",
+    "planner",
+    "memory",
+    "fault",
+    "recorder",
+    "order",
+    "operator",
 ]
 
 
@@ -58,6 +69,8 @@ class FilterResult(Protocol):
     def iterations(self) -> int: ...  # noqa: D102
     @property
     def n_rows(self) -> int: ...  # noqa: D102
+    @property
+    def delta_supervisor(self) -> float: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +102,13 @@ def columns(n: int) -> dict[str, slice]:
 
     Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
     `opening` [m], finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s], `delta`, `delta_rows`,
-    `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Then the `action` index and `phase` code.
+    `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor: `delta_supervisor`, the
+    `order` (rung of the ladder) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking in the filter's
+    stead. Then the `action` index and `phase` code.
     """
     widths = {"t": 1, "stamp": 1, "sequence": 1, "q": n, "v": n, "opening": 1, "forces": 2, "drive": 1, "u_nom": n}
     widths |= {"u": n, "delta": 1, "delta_rows": 1, "delta_box": 1, "h_min": 1, "status": 1, "certified": 1}
-    widths |= {"iterations": 1, "n_rows": 1, "action": 1, "phase": 1}
+    widths |= {"iterations": 1, "n_rows": 1, "delta_supervisor": 1, "order": 1, "touched": 1, "action": 1, "phase": 1}
     ends = np.cumsum(list(widths.values())).tolist()
     return {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
 
@@ -133,8 +148,9 @@ class Trace:
         self._pack = Struct(f"={self._width}d").pack_into
 
     def append(
-        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, *, action: int, phase: str
-    ) -> Array:
+        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, *, action: int, phase: str,
+        order: int = 0, touched: float = 1.0,
+    ) -> Array:  # fmt: skip
         """Log one tick; returns its row (width,), which must not be written to."""
         if self._used == BLOCK:
             self._full.append(self._block)
@@ -145,7 +161,8 @@ class Trace:
             now, state.stamp, state.sequence, *state.q.tolist(), *state.v.tolist(), state.opening,
             *state.finger_forces, state.drive_enabled, *u_nom.tolist(), *result.u.tolist(),
             result.delta, result.delta_rows, result.delta_box, result.h_min, result.status, result.certified,
-            result.iterations, result.n_rows, action, self._learn(phase) if code is None else code,
+            result.iterations, result.n_rows, result.delta_supervisor, order, touched,
+            action, self._learn(phase) if code is None else code,
         )  # fmt: skip
         self._used += 1
         return self._block[self._used - 1]

@@ -106,9 +106,9 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
     """One answer of the filter.
 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
-    `delta_rows` and `delta_box`; `h_min` [m] the smallest barrier value of all pairs without a permit; `certified`:
-    h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that could bind in this step; `relaxed`
-    has bit r set when rows of rank r were given up in part.
+    `delta_rows`, `delta_box` and, where an order stood above it, `delta_supervisor`; `h_min` [m] the smallest barrier
+    value of all pairs without a permit; `certified`: h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP;
+    `n_rows` that could bind in this step; `relaxed` has bit r set when rows of rank r were given up in part.
     """
 
     u: Array
@@ -125,6 +125,7 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
     n_rows: int
     rows: tuple[RawRow, ...]
     relaxed: int = 0
+    delta_supervisor: float = 0.0
 
     @property
     def given_up(self) -> tuple[Rank, ...]:

@@ -110,7 +110,7 @@ class Limb:
         """
         speed = min(speed, OWN_LIMIT * self.body.tool_speed.value)
         near, turned = (0.003, 0.02) if stop else (0.02, 0.3)
-        progress = Progress(self.senses.now, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
+        progress = Progress(self.senses.patience, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
         while True:
             tool, state, now = self.senses.tool, self.senses.state, self.senses.now
             distance = self._distance(goal)
@@ -119,7 +119,7 @@ class Limb:
                 return None
             if (height := self.threatened(tool.position)) is not None:
                 return (yield from self.step_aside(phase, height))
-            if why := progress.stuck(now, distance + 0.1 * turn):
+            if why := progress.stuck(self.senses.patience, distance + 0.1 * turn):
                 return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {distance * 100:.1f} cm from the goal")
             u = self._phi.toward(
                 state, tool, goal.position, goal.rotation, speed, goal.posture, now, stop=stop
@@ -128,13 +128,13 @@ class Limb:
 
     def joints(self, goal: Array, phase: str, share: float, speed: float) -> Part:
         """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool up to `speed`."""
-        progress = Progress(self.senses.now, limit=30.0)
+        progress = Progress(self.senses.patience, limit=30.0)
         while True:
             state, now = self.senses.state, self.senses.now
             error = float(np.max(np.abs(goal - state.q)))
             if error < 0.01:
                 return None
-            if why := progress.stuck(now, error):
+            if why := progress.stuck(self.senses.patience, error):
                 return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {error:.2f} rad from the goal")
             yield self._nominal(self._phi.toward_joints(state, self.senses.tool, goal, share, speed, now), phase)
 

@@ -107,9 +107,18 @@ class Motion(Protocol):
 
 @dataclass(slots=True)
 class Senses:
-    """What the skill sees this tick; replaced before every step of the story."""
+    """What the skill sees this tick; replaced before every step of the story.
+
+    `waited` [s] is how long the story was held up by a person (paused, or slowed): patience does not run meanwhile.
+    """
 
     state: RobotState
     scene: Scene
     now: float
     tool: ToolState = field(repr=False)
+    waited: float = 0.0
+
+    @property
+    def patience(self) -> float:
+        """The clock by which a story loses its patience [s]."""
+        return self.now - self.waited

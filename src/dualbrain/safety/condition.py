@@ -1,0 +1,56 @@
+"""What can be wrong, one bit each: the flags that the supervisor is given every tick."""
+
+from __future__ import annotations
+
+from enum import IntFlag, auto
+
+
+class Condition(IntFlag):
+    """One bit a condition, as sensed in this tick alone; how long it must last is the table's affair (`checks.py`)."""
+
+    INFEASIBLE = auto()
+    FILTER_STOPPED = auto()
+    FILTER_FAULT = auto()
+    CONTROL_BAD = auto()
+    STATE_MISSED = auto()
+    STATE_REPEATED = auto()
+    STATE_STALE = auto()
+    STATE_LOST = auto()
+    STATE_IMPLAUSIBLE = auto()
+    SOURCES_DISAGREE = auto()
+    SCENE_OLD = auto()
+    SCENE_STALE = auto()
+    SCENE_IMPLAUSIBLE = auto()
+    TICK_OVERRUN = auto()
+    TICKS_OVERRUN = auto()
+    TICK_LOST = auto()
+    COMMAND_LATE = auto()
+    CLOCK_STEP = auto()
+    TRACKING_OFF = auto()
+    TRACKING_LOST = auto()
+    OVERSPEED = auto()
+    DRIFT = auto()
+    STOP_OVERDUE = auto()
+    DRIVE_DROPPED = auto()
+    FALLING = auto()
+    FRAMES_REFUSED = auto()
+    HEARTBEAT_LOST = auto()
+    LINK_LOST = auto()
+    FLOOD = auto()
+    SPEED_STAGE = auto()
+    PAUSE = auto()
+    ABORT = auto()
+    TAKEOVER = auto()
+    INTERRUPT = auto()
+    ESTOP = auto()
+    ESTOP_DISAGREE = auto()
+    PROGRAM_ERROR = auto()
+    RESET = auto()
+    RESUME = auto()
+    CONTINUE = auto()
+
+
+NOTHING_WRONG = Condition(0)
+BUTTONS = int(Condition.RESET | Condition.RESUME | Condition.CONTINUE)
+"""Not conditions but a hand: they count when they are pressed, not while they are held. Reset and resume are a
+person's; continue comes with a new contract and leads out of what needs no person."""

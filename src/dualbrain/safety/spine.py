@@ -1,0 +1,113 @@
+"""The spinal cord's tick: readings → conditions → order → scaled nominal → filter → check → the control to write.
+
+Lockstep evaluation and the real-time gatekeeper run this same code; they differ in the clock that they hand in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.safety.checks import Ending
+from dualbrain.safety.condition import Condition
+from dualbrain.safety.enforcement import Enforcement, Standstill
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.order import Order
+from dualbrain.safety.result import Filtered
+from dualbrain.safety.supervised import supervised
+from dualbrain.safety.supervisor import Supervisor
+from dualbrain.safety.timing import SIMULATED, Timing
+from dualbrain.safety.watch import Bounds, Watch, answered
+
+Array = NDArray[np.float64]
+
+UNTOUCHED, STANDING, BRAKED = 1.0, -1.0, -2.0
+"""What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
+UNUSABLE = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
+
+
+class Spine:
+    """Supervisor, watch, enforcement and filter of one robot. `stage` is the speed that a person has chosen, (0, 1]."""
+
+    def __init__(
+        self, safety: SafetyFilter, *, timing: Timing = SIMULATED, bounds: Bounds | None = None,
+        dials: Standstill | None = None,
+    ) -> None:  # fmt: skip
+        """Nothing is wrong yet; the drive is on."""
+        self.safety, self.stage = safety, 1.0
+        self.supervisor = Supervisor()
+        self.watch = Watch(safety.body, timing, bounds)
+        self.enforcement = Enforcement(dials)
+        self.touched = UNTOUCHED
+        joints = safety.body.joints
+        self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
+        self._pending = 0
+        self._u = np.zeros(safety.body.n)
+
+    @property
+    def order(self) -> Order:
+        """What holds now."""
+        return self.supervisor.order
+
+    @property
+    def ending(self) -> Ending:
+        """How a contract that runs now has to end; "" while it may go on."""
+        return self.supervisor.ending
+
+    @property
+    def driving(self) -> bool:
+        """Whether the drive is wanted on."""
+        return self.enforcement.driving
+
+    def sensed(self, state: RobotState, now: float) -> bool:
+        """Take in a joint state; False if it must not be used (impossible, or the same again)."""
+        flags = self.watch.sensed(state, now)
+        self._pending |= flags
+        return not flags & UNUSABLE
+
+    def flag(self, conditions: int) -> None:
+        """Something else was found to be wrong since the last order."""
+        self._pending |= conditions
+
+    def judge(self, state: RobotState, now: float, asked: int = 0) -> Order:
+        """The order for this tick, from everything flagged since the last one and what is `asked` for now."""
+        if self.stage < 1.0:
+            asked |= Condition.SPEED_STAGE
+        flags, self._pending = self._pending | asked, 0
+        was_driving = self.enforcement.driving
+        order = self.supervisor.update(now, flags)
+        self._pending = self.enforcement.obey(order, state, now)
+        if self.enforcement.driving and not state.drive_enabled and was_driving:
+            self._pending |= Condition.DRIVE_DROPPED
+        return order
+
+    def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> Filtered:
+        """The control to write under the order in force: scaled, filtered, checked once more (`touched` says how)."""
+        scale = self.enforcement.scale(self.order, self.stage)
+        result = self.safety.filter(state, u_nom if scale == 1.0 else scale * u_nom, now)
+        self._pending |= answered(result)
+        if not guard:
+            result = result.unfiltered()
+        self.touched = scale
+        if self.enforcement.standing or not self.driving:
+            self.touched, u = STANDING, np.zeros_like(result.u)
+        elif bad := self.watch.commanded(result.u):
+            self._pending |= bad
+            self.touched, u = BRAKED, self._braking()
+        else:
+            u = result.u
+        if self.touched != UNTOUCHED:
+            result = supervised(result, u_nom, u)
+        if self.touched < 0.0:
+            self.safety.reset(u)
+            self.watch.commanded(u)
+        self._u = result.u
+        return result
+
+    def _braking(self) -> Array:
+        """The last control slowed by one factor for all joints, as hard as every joint's acceleration allows."""
+        speed = np.abs(self._u)
+        moving = speed > 1e-9
+        factor = 1.0 - float(np.min(self._brake[moving] / speed[moving])) if moving.any() else 0.0
+        return max(0.0, factor) * self._u

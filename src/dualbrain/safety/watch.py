@@ -1,0 +1,155 @@
+"""What the senses say of themselves: joint states that are late, twice, impossible, or do not follow the commands.
+
+Two leaky integrals per joint (gaps between sources of the same motion; leak time T):
+
+    e_s ← e_s (1 − dt/T) + (Δq − v̄ dt)         measured positions against measured velocities
+    e_c ← e_c (1 − dt/T) + (Δq − û dt)          measured positions against the commands, û ← û + (u − û) dt/lag
+
+A stuck, wrong or slow source makes one of them grow; noise and a lag that is known do not.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.safety.condition import Condition
+from dualbrain.safety.result import Filtered, Reason, Status
+from dualbrain.safety.timing import SIMULATED, Timing
+
+Array = NDArray[np.float64]
+
+C = Condition
+BEYOND = 0.05
+"""A joint this far outside its range [rad] is a fault of the sensor or of the arm."""
+
+
+class Bounds(msgspec.Struct, frozen=True):
+    """How far sources may part: `agree`, `follow` (stop) and `lost` (drive off) [rad]; `leak` T [s]; `speed` a share.
+
+    `jump` [rad] is what a position may change beyond the speed limit between two states. `scene_old` and `scene_stale`
+    [s] are ages of a scene with moving things; `scene_ahead` [s]: how far its stamp may lie in the future.
+    """
+
+    agree: float = 0.01
+    follow: float = 0.02
+    lost: float = 0.05
+    leak: float = 0.3
+    speed: float = 1.15
+    jump: float = 0.005
+    scene_old: float = 0.15
+    scene_stale: float = 0.5
+    scene_ahead: float = 0.05
+
+
+class Watch:
+    """Turns one tick's readings into `Condition` bits. Call `sensed` for each state, `commanded` for each control."""
+
+    def __init__(self, body: Body, timing: Timing = SIMULATED, bounds: Bounds | None = None) -> None:
+        """Nothing has been seen yet."""
+        self.timing, self.bounds = timing, bounds or Bounds()
+        joints = body.joints
+        self._low = np.array([joint.lower.value for joint in joints]) - BEYOND
+        self._high = np.array([joint.upper.value for joint in joints]) + BEYOND
+        self._fastest = np.array([joint.velocity.value for joint in joints])
+        self._lag = max(body.tracking.lag, timing.period)
+        self._n = body.n
+        self._last: RobotState | None = None
+        self._good: RobotState | None = None
+        self._u = np.zeros(body.n)
+        self.start()
+
+    def start(self) -> None:
+        """Forget the gaps: the drive was off, or a person moved the arm."""
+        self._followed = np.zeros(self._n)
+        self._source = np.zeros(self._n)
+        self._command = np.zeros(self._n)
+
+    # --- joint states -------------------------------------------------------------------------------------------
+
+    def sensed(self, state: RobotState, now: float) -> int:
+        """Bits for the joint state that was read at `now` [s]."""
+        last, self._last = self._last, state
+        flags = 0 if -self.timing.clock <= now - state.stamp < inf else C.CLOCK_STEP
+        if last is not None and state.sequence <= last.sequence:
+            flags |= C.STATE_REPEATED
+        else:
+            if last is not None and state.sequence > last.sequence + 1:
+                flags |= C.STATE_MISSED
+            flags |= self._plausible(state)
+        return flags | self._aged(now)
+
+    def _aged(self, now: float) -> int:
+        """By the last state that could be: a stream of rubbish is no better than silence."""
+        age = now - self._good.stamp if self._good else 0.0
+        if age > self.timing.blind:
+            return C.STATE_STALE | C.STATE_LOST
+        return C.STATE_STALE if age > self.timing.stale else 0
+
+    def _plausible(self, state: RobotState) -> int:
+        """Finite, in range, no jump; then it is compared with velocities and commands."""
+        q, v = state.q, state.v
+        numbers = np.isfinite(q).all() and np.isfinite(v).all() and isfinite(state.opening) and isfinite(state.stamp)
+        if not numbers or (q < self._low).any() or (q > self._high).any():
+            return C.STATE_IMPLAUSIBLE
+        last, self._good = self._good, state
+        if last is None:
+            return 0
+        dt = state.stamp - last.stamp
+        if not 0.0 < dt < inf:
+            return C.STATE_IMPLAUSIBLE if (q != last.q).any() else 0
+        if dt > self.timing.blind:  # nothing can be compared across such a gap
+            self.start()
+            return 0
+        moved = q - last.q
+        if (np.abs(moved) > self.bounds.speed * self._fastest * dt + self.bounds.jump).any():
+            return C.STATE_IMPLAUSIBLE
+        fast = C.OVERSPEED if (np.abs(v) > self.bounds.speed * self._fastest).any() else 0
+        return fast | self._compare(moved, 0.5 * (v + last.v), dt, driven=state.drive_enabled)
+
+    def _compare(self, moved: Array, v: Array, dt: float, *, driven: bool) -> int:
+        keep = max(0.0, 1.0 - dt / self.bounds.leak)
+        self._source *= keep
+        self._source += moved - v * dt
+        flags = C.SOURCES_DISAGREE if np.abs(self._source).max() > self.bounds.agree else 0
+        if not driven:
+            self._followed[:] = self._command[:] = 0.0
+            return flags
+        self._followed += (self._u - self._followed) * min(1.0, dt / self._lag)
+        self._command *= keep
+        self._command += moved - self._followed * dt
+        gap = np.abs(self._command).max()
+        if gap > self.bounds.lost:
+            return flags | C.TRACKING_OFF | C.TRACKING_LOST
+        return flags | C.TRACKING_OFF if gap > self.bounds.follow else flags
+
+    def commanded(self, u: Array) -> int:
+        """Bits for the control (n,) [rad/s] that is about to be written; independent of the filter's own checker."""
+        if not np.isfinite(u).all() or (np.abs(u) > 1.001 * self._fastest).any():
+            return C.CONTROL_BAD
+        self._u = u
+        return 0
+
+    @property
+    def gaps(self) -> tuple[float, float]:
+        """The largest gap [rad] of each kind now: between sources, and to the commands."""
+        return float(np.abs(self._source).max()), float(np.abs(self._command).max())
+
+
+STALE = int(Reason.STALE_SCENE)
+
+
+def answered(result: Filtered) -> int:
+    """Bits for the filter's answer; an old scene is the scene's condition, not the filter's."""
+    if result.status < Status.RELAXED:
+        return 0
+    if result.status is Status.RELAXED:
+        return C.INFEASIBLE
+    if result.status is Status.FAULT:
+        return C.FILTER_FAULT
+    return C.SCENE_STALE if result.flags & ~int(Reason.JERK) == STALE else C.FILTER_STOPPED
