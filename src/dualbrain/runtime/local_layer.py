@@ -169,7 +169,10 @@ class LocalLayer:
 
     def _as_attended(self) -> OutcomeClass:
         """A contract that went well, as a person's hand has it."""
-        return next((kind for name, kind in ATTENDED.items() if name in self._attended), "succeeded")
+        for name, kind in ATTENDED.items():
+            if name in self._attended:
+                return kind
+        return "succeeded"
 
     def _continue(self) -> None:
         """A new contract leads out of a controlled stop whose condition is gone; not out of what needs a person."""

@@ -141,8 +141,8 @@ of a tick into one order: the strongest check that has tripped. This page is gen
 
 The ladder: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may still let the
 arm yield) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (brakes, then the drive goes off, category 1) <
-ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it). The categories are those of IEC 60204-1 by name
-only; **nothing here is certified**.
+ESTOP (drive off at once, category 0) < LOCKOUT (only a restart ends it). The categories are those of IEC 60204-1 by
+name only; **nothing here is certified**.
 
 - A condition must last `after` before its check trips; gaps shorter than `release` do not interrupt it
   (anti-chatter).
