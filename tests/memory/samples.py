@@ -1,23 +1,29 @@
 """Small episodes, limits and memories that the tests of this room share."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.embedding import EmbeddingConfig
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import Posture, PostureLimits
-from dualbrain.memory.store import Memory, MemoryConfig
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, OutcomeClass, Proposal, Recall, Scene
+from dualbrain.memory.store import Memory
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
 
+INTERPRETER = (sys.executable, *(("-S",) if sys.flags.no_site else ()))
+"""How to start a child that sees the same packages."""
 ARM = PostureLimits("arm", (-3.0, -2.0), (3.0, 2.0), 0.04)
 OTHER = PostureLimits("other", (-1.0,), (1.0,), 0.1)
 REST = Posture((0.0, 0.5), 0.04)
 NOW = 1_800_000_000.0
-CONFIG = MemoryConfig(limits=(ARM, OTHER), embedding=EmbeddingConfig(features=16))
+CONFIG = MemoryConfig(limits=(ARM, OTHER), embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0))
+"""Without a neighbourhood: most laws are about one memory."""
 
 
 def contract(object_name: str = "red_cube") -> dict[str, Any]:
@@ -41,9 +47,12 @@ def episode(
     judgement: Judgement | None = None,
     proposed: str = "{}",
     refused: Any = None,
+    second_opinion: SecondOpinion = "agrees",
+    plan: dict[str, Any] | None = None,
+    by: str = "scripted",
 ) -> Episode:
     verdict = Rejected("envelope", "/action_sequence/0/params/speed", refused, "0.05..0.4", "slower")
-    proposal = Proposal(proposed, "stop", "scripted", "nothing", {"total": 0.1})
+    proposal = Proposal(proposed, "stop", by, "nothing", {"total": 0.1})
     return Episode(
         id=name,
         started="2027-01-15T08:00:00Z",
@@ -55,11 +64,12 @@ def episode(
         summary=summary,
         recall=recall or Recall(),
         attempts=(Attempt(proposal, verdict, 1e-4),),
-        contract=contract(),
+        contract=plan or contract(),
         outcome=Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta),
         judgement=judgement,
         timings={"plan": 1.0},
         versions={"dualbrain": "0"},
+        second_opinion=second_opinion,
     )
 
 

@@ -1,37 +1,109 @@
 """Laws of the joint embedding: unit blocks, the cosine identity, the kernel of the state, versions."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.memory.embedding import EmbeddingConfig, JointEmbedding
+from dualbrain.memory.embedding import BLOCKS, Alpha, Embedded, EmbeddingConfig, JointEmbedding
 from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.image import IMAGE_ENCODER
+from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture, PostureLimits, _frequencies, _normals, fourier
+from dualbrain.memory.retrieval import Query, Scan
+from dualbrain.memory.symbols import symbols
 
 from .samples import ARM, OTHER, REST
 
 ENCODER = HashingEncoder(32)
 JOINT = JointEmbedding(ENCODER, (ARM, OTHER))
+PICTURE = Picture.of(IMAGE_ENCODER, np.random.default_rng(1).standard_normal(128).astype(np.float32))
+OTHER_PICTURE = Picture.of(IMAGE_ENCODER, np.random.default_rng(2).standard_normal(128).astype(np.float32))
 texts = st.text(st.characters(), max_size=30)
 postures = st.builds(Posture, st.tuples(st.floats(-3, 3), st.floats(-2, 2)), st.floats(0, 0.04))
 
 
-@given(texts, texts, postures)
-def test_every_embedding_has_unit_length(instruction: str, summary: str, state: Posture) -> None:
-    e = JOINT.embed(instruction, summary, state, "arm")
-    assert e.shape == (JOINT.dim,)
-    assert np.linalg.norm(e) == pytest.approx(1.0, abs=1e-5)
+def _cosine(one: Embedded, other: Embedded, alpha: Alpha) -> float:
+    """As retrieval has it."""
+    scan = Scan(JOINT.dim)
+    scan.add(one.row, 0.5, one.mask)
+    query = Query(other.row * JOINT.scale(alpha), other.mask, alpha.shares(), JOINT.scale(alpha))
+    return float(scan.compare(query).cosine[0])
 
 
-@given(texts, texts, texts, texts, postures, postures)
-def test_cosine_is_the_weighted_sum_of_block_cosines(a: str, b: str, c: str, d: str, p: Posture, q: Posture) -> None:
+@given(texts, texts, st.one_of(st.none(), postures), st.booleans())
+def test_every_block_that_is_there_has_unit_length(a: str, b: str, state: Posture | None, seen: bool) -> None:
+    e = JOINT.embed(a, b, state, "arm", PICTURE if seen else None)
+    ends = np.cumsum(JOINT.dims)
+    lengths = [np.linalg.norm(e.row[end - dim : end]) for dim, end in zip(JOINT.dims, ends, strict=True)]
+    assert e.row.shape == (JOINT.dim,)
+    assert lengths == pytest.approx([float(e.mask >> block & 1) for block in range(len(BLOCKS))], abs=1e-5)
+    there = (bool(a), bool(b), None, seen, state is not None)
+    assert all(want is None or bool(e.mask >> block & 1) == want for block, want in enumerate(there))
+
+
+@st.composite
+def alphas(draw: st.DrawFn) -> Alpha:
+    parts = np.array(draw(st.lists(st.floats(0.05, 1.0), min_size=5, max_size=5)))
+    return Alpha(*(parts / parts.sum()).tolist())
+
+
+@given(texts, texts, texts, texts, postures, postures, alphas(), st.sets(st.integers(0, 4), max_size=3))
+def test_cosine_is_the_weighted_sum_over_the_blocks_that_both_have(
+    a: str, b: str, c: str, d: str, p: Posture, q: Posture, alpha: Alpha, missing: set[int]
+) -> None:
+    """Law of the query: α may change without touching what is stored, and a missing block counts for nothing."""
     config = JOINT.config
     rows = [ENCODER.encode([text.encode("utf-8", "replace").decode()])[0] for text in (a, b, c, d)]
-    state = fourier(ARM.normalised(p), 128, config.seed, 1.0) @ fourier(ARM.normalised(q), 128, config.seed, 1.0)
-    expected = config.instruction * rows[0] @ rows[2] + config.summary * rows[1] @ rows[3] + config.state * state
-    assert JOINT.embed(a, b, p, "arm") @ JOINT.embed(c, d, q, "arm") == pytest.approx(expected, abs=1e-5)
+    kernels = [fourier(ARM.normalised(x), 128, config.seed, 1.0) for x in (p, q)]
+    left, right = (
+        symbols(*(x.encode("utf-8", "replace").decode() for x in (a, b))),
+        symbols(*(x.encode("utf-8", "replace").decode() for x in (c, d))),
+    )
+    parts = [
+        rows[0] @ rows[2] if a and c and 0 not in missing else None,
+        rows[1] @ rows[3] if b and d and 1 not in missing else None,
+        None,
+        float(PICTURE.row() @ OTHER_PICTURE.row()) if 3 not in missing else None,
+        kernels[0] @ kernels[1] if 4 not in missing else None,
+    ]
+    one = JOINT.embed("" if 0 in missing else a, "" if 1 in missing else b, p, "arm", PICTURE)
+    other = JOINT.embed(c, d, None if 4 in missing else q, "arm", None if 3 in missing else OTHER_PICTURE)
+    if not missing & {0, 1} and left is not None and right is not None:
+        parts[2] = left @ right
+    elif one.mask & other.mask & 4:
+        parts[2] = JOINT.parts(one.row, other.row, 4)["symbols"]
+    weights = [w for w, part in zip(astuple(alpha), parts, strict=True) if part is not None]
+    found = [part for part in parts if part is not None]
+    expected = float(np.dot(weights, found) / sum(weights)) if weights else 0.0
+    assert _cosine(one, other, alpha) == pytest.approx(expected, abs=2e-5)
+
+
+def test_symbols_tell_apart_what_a_sentence_encoder_blurs() -> None:
+    near = symbols("put the red cube away", "red_cube: object, neighbour_across tall <3cm\nblue_cube: object")
+    same = symbols("put the green mug away", "green_mug: object, neighbour_across tall <3cm\nred_cube: object")
+    far = symbols("put the red cube away", "red_cube: object, neighbour_along low 3-6cm\nblue_cube: object")
+    assert near is not None
+    assert same is not None
+    assert far is not None
+    assert near @ same == pytest.approx(1.0, abs=1e-6)
+    assert near @ far < 0.5
+    assert symbols("put", "") is None
+
+
+def test_a_picture_of_another_encoder_is_refused() -> None:
+    strange = Picture.of("resnet@1234/128", np.ones(128, np.float32))
+    with pytest.raises(InvalidSetup, match="image encoder: got 'resnet@1234/128', allowed: efficientnet-lite0@"):
+        JOINT.embed("a", "b", None, "arm", strange)
+
+
+@pytest.mark.parametrize("features", [np.zeros(128), np.full(128, np.nan), np.ones(4)])
+def test_features_without_a_direction_are_no_picture(features: np.ndarray) -> None:
+    with pytest.raises(InvalidSetup, match="picture features"):
+        Picture.of(IMAGE_ENCODER, features.astype(np.float32))
 
 
 def test_the_state_block_is_a_gaussian_kernel() -> None:
@@ -73,7 +145,6 @@ def test_the_version_names_all_that_the_vector_depends_on() -> None:
         *(
             JointEmbedding(ENCODER, (ARM,), config)
             for config in (
-                EmbeddingConfig(0.4, 0.5, 0.1),
                 EmbeddingConfig(features=64),
                 EmbeddingConfig(seed=8),
                 EmbeddingConfig(bandwidth=2.0),
@@ -90,10 +161,10 @@ def test_a_robot_without_limits_is_named() -> None:
         JOINT.embed("", "", REST, "armm")
 
 
-@pytest.mark.parametrize("weights", [(0.5, 0.5, 0.5), (1.2, -0.1, -0.1), (float("nan"), 0.5, 0.5)])
-def test_weights_that_do_not_sum_to_one_are_refused(weights: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize("weights", [(0.5,) * 5, (1.2, -0.1, -0.1, 0.0, 0.0), (float("nan"), 0.5, 0.5, 0.0, 0.0)])
+def test_weights_that_do_not_sum_to_one_are_refused(weights: tuple[float, ...]) -> None:
     with pytest.raises(InvalidSetup, match="embedding weights"):
-        EmbeddingConfig(*weights)
+        Alpha(*weights)
 
 
 @pytest.mark.parametrize("setting", [{"features": 7}, {"features": 0}, {"bandwidth": 0.0}])

@@ -4,7 +4,6 @@ import os
 import signal
 import sqlite3
 import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from dualbrain.memory.ledger import Entry, Ledger, LedgerReader, Vector
 from dualbrain.memory.writer_lock import LedgerInUse
 
 from . import killed_writer
-from .samples import NOW, open_ledger
+from .samples import INTERPRETER, NOW, open_ledger
 
 
 def _filled(folder: Path, events: int = 6) -> Path:
@@ -172,8 +171,8 @@ def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
 
 def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
     path = _filled(tmp_path)
-    _tamper(path, "UPDATE meta SET value = '2'")
-    with pytest.raises(InvalidSetup, match="schema_version: got '2'"):
+    _tamper(path, "UPDATE meta SET value = '3'")
+    with pytest.raises(InvalidSetup, match="schema_version: got '3', allowed: 1 or 2"):
         open_ledger(tmp_path)
 
 
@@ -200,7 +199,7 @@ def test_a_second_writer_is_refused_by_name_and_readers_are_not(tmp_path: Path) 
         "print('ready', flush=True); time.sleep(60)"
     )
     path = tmp_path / "ledger.db"
-    writer = subprocess.Popen([sys.executable, "-c", ready, str(path)], stdout=subprocess.PIPE, text=True)
+    writer = subprocess.Popen([*INTERPRETER, "-c", ready, str(path)], stdout=subprocess.PIPE, text=True)
     assert writer.stdout is not None
     try:
         assert writer.stdout.readline() == "ready\n"
@@ -234,7 +233,7 @@ def test_the_lock_is_free_after_close_and_after_a_failed_open(tmp_path: Path) ->
 
 def _killed(path: Path, run: str, delay: float) -> int:
     """Start the writer, kill -9 it `delay` seconds after its first acknowledgement; counts those."""
-    command = [sys.executable, str(killed_writer.__file__), str(path), run]
+    command = [*INTERPRETER, str(killed_writer.__file__), str(path), run]
     writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert writer.stdout is not None
     lines = [writer.stdout.readline()]
@@ -256,14 +255,14 @@ def test_kill_9_at_any_moment_leaves_a_valid_chain_with_every_acknowledged_event
             weights = sum(1 for _ in ledger.events("kind = 'weight' AND run = ?", (f"run-{k}",)))
             assert acknowledged <= stored <= acknowledged + 1
             assert weights == stored * (killed_writer.ROUND - 1)
-            assert len(ledger.vectors()) == sum(1 for _ in ledger.events("kind = 'episode'"))
+            assert len(list(ledger.vectors())) == sum(1 for _ in ledger.events("kind = 'episode'"))
             assert [cut.run for cut in ledger.interrupted()] == [f"run-{k}"]
             assert ledger.interrupted()[0].episodes == stored
 
 
 def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> None:
     """From an absent file to a stored episode, one killed process for each SQL statement on the way."""
-    command = [sys.executable, str(killed_writer.__file__), str(tmp_path)]
+    command = [*INTERPRETER, str(killed_writer.__file__), str(tmp_path)]
     statements = int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()[-1])
     assert statements > 20
     lengths = []
@@ -271,7 +270,7 @@ def test_kill_9_before_each_statement_leaves_a_valid_chain(tmp_path: Path) -> No
         with Ledger(tmp_path / f"{statement}.db", holder="a test", now=NOW) as ledger:
             report = ledger.verify()
             assert report.whole
-            assert len(ledger.vectors()) == (report.events > 1)
+            assert len(list(ledger.vectors())) == (report.events > 1)
             assert [cut.run for cut in ledger.interrupted()] == ["run"] * (report.events > 0)
             lengths.append(report.events)
     assert lengths == sorted(lengths)

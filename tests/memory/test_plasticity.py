@@ -8,7 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.plasticity import Factors, Penalty, Plasticity
+from dualbrain.memory.affine import Factors
+from dualbrain.memory.plasticity import Penalty, Plasticity
 
 ROUNDING = 4e-16
 weights = st.floats(0.0, 1.0)
@@ -23,7 +24,9 @@ def rules(draw: st.DrawFn) -> Plasticity:
     eta_minus = draw(st.floats(0.0, 1.0))
     assume(rho > 0.0 or eta_minus * min(g.floor, g.rejected) >= 1e-3)
     eta_plus = max(rho, 1e-3) * draw(st.floats(1.0, 5.0))
-    return Plasticity(rho, eta_plus, eta_minus, draw(st.floats(0.0, 0.1)), g)
+    most = max(0.0, min(eta_plus - rho, eta_minus * min(g.floor, g.rejected)))
+    kappa = draw(st.floats(0.0, min(1.0, most)))
+    return Plasticity(rho, eta_plus, eta_minus, draw(st.floats(0.0, 0.1)), g, kappa, draw(st.floats(0.05, 0.3)))
 
 
 @given(rules(), weights, st.lists(outcomes, max_size=40))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval import Hit, Scan
+from dualbrain.memory.retrieval import Hit, Query, Scan
 
 from .samples import unit_rows
 
@@ -21,7 +21,7 @@ def _filled(rows: np.ndarray, weights: np.ndarray) -> Scan:
 
 
 def _top(scan: Scan, query: np.ndarray, eligible: np.ndarray, k: int, lambda_s: float) -> tuple[Hit, ...]:
-    return scan.top(scan.compare(query), eligible, k, lambda_s)
+    return scan.top(scan.compare(Query.plain(query)), eligible, k, lambda_s)
 
 
 def _oracle(rows, weights, query, eligible, k, lambda_s) -> list[int]:

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.memory.chain import DamagedLedger
-from dualbrain.memory.embedding import EmbeddingConfig
+from dualbrain.memory.embedding import EmbeddingConfig, JointEmbedding
 from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.index import rebuild
 from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
 from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import Posture
-from dualbrain.memory.store import Memory, rebuild
+from dualbrain.memory.store import Memory
 from dualbrain.memory.trace import LESSONS
 from dualbrain.records import Judgement, OutcomeClass, Recall, Violation
 
@@ -224,7 +225,8 @@ def test_mixed_embeddings_are_refused_until_the_vectors_are_made_anew(tmp_path: 
         for encoder, config in ((HashingEncoder(16), CONFIG), (HashingEncoder(32), other)):
             with pytest.raises(InvalidSetup, match="embedding of memory a: got 'hashing@32"):
                 Memory(ledger, encoder, config)
-        assert rebuild(ledger, HashingEncoder(16), CONFIG) == 2
+        new = JointEmbedding(HashingEncoder(16), CONFIG.limits, CONFIG.embedding)
+        assert rebuild(ledger, new) == 2
         anew = Memory(ledger, HashingEncoder(16), CONFIG)
         assert (anew.weights(), ledger.head()) == (weights, head)
         assert _recall(anew).exemplars[0].similarity == pytest.approx(1.0, abs=1e-6)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from dualbrain.errors import DualbrainError
 
-SCHEMA_VERSION = 1
-GENESIS = hashlib.sha256(b"dualbrain ledger, schema %d" % SCHEMA_VERSION).hexdigest()
-"""What the first event names as its predecessor."""
+GENESIS = hashlib.sha256(b"dualbrain ledger, schema 1").hexdigest()
+"""What the first event names as its predecessor; the same for all schemas, so that a migration keeps the chain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +85,12 @@ def fault_of(event: Event, before: Head) -> str:
     return "" if digest(event) == event.hash else "its content does not match its hash"
 
 
-def checked(events: Iterable[Event], path: str) -> Iterator[Event]:
-    """The same events, each only after its link was checked; raises `DamagedLedger` at the first that is broken."""
-    head = Head(0, GENESIS)
+def checked(events: Iterable[Event], path: str, *, after: Head | None = None) -> Iterator[Event]:
+    """The same events, each only after its link was checked; raises `DamagedLedger` at the first that is broken.
+
+    They follow the event `after` (default: they begin the chain).
+    """
+    head = after or Head(0, GENESIS)
     for event in events:
         if fault := fault_of(event, head):
             raise DamagedLedger(fault, seq=head.seq + 1, path=path)

@@ -29,9 +29,15 @@ class HashingEncoder:
     def _encode_one(self, text: str) -> NDArray[np.float32]:
         row = np.zeros(self.dim)
         for piece, count in _pieces(text):
-            code = int.from_bytes(hashlib.blake2b(piece.encode("utf-8", "replace"), digest_size=8).digest(), "little")
-            row[(code >> 1) % self.dim] += count if code & 1 else -count
+            place, sign = bin_of(piece, self.dim)
+            row[place] += sign * count
         return (row / np.linalg.norm(row)).astype(np.float32) if row.any() else np.eye(1, self.dim, dtype=np.float32)[0]
+
+
+def bin_of(piece: str, dim: int) -> tuple[int, float]:
+    """The bin of `piece` among `dim`, and its sign: the same on every machine."""
+    code = int.from_bytes(hashlib.blake2b(piece.encode("utf-8", "replace"), digest_size=8).digest(), "little")
+    return (code >> 1) % dim, 1.0 if code & 1 else -1.0
 
 
 def _pieces(text: str) -> Iterator[tuple[str, float]]:

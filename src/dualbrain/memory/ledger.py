@@ -10,32 +10,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import msgspec
 
 from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.memory import runs
-from dualbrain.memory.chain import GENESIS, SCHEMA_VERSION, ChainReport, DamagedLedger, Event, Head, digest, walk
+from dualbrain.memory.chain import GENESIS, ChainReport, DamagedLedger, Event, Head, digest, walk
+from dualbrain.memory.clean import clean
+from dualbrain.memory.events import EPISODE
 from dualbrain.memory.runs import InterruptedRun
+from dualbrain.memory.schema import MIGRATED, SCHEMA_VERSION, create, version_of
 from dualbrain.memory.writer_lock import Holder, WriterLock
 
-EPISODE, WEIGHT = "episode", "weight"
-"""Kinds of the events that make memory; further kinds (neighbour, quarantine, correction, tick) need no new schema."""
-
-_SCHEMA = f"""
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
-INSERT INTO meta VALUES ('schema_version', '{SCHEMA_VERSION}');
-CREATE TABLE event (
-    seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, run TEXT NOT NULL, subject TEXT NOT NULL, time REAL NOT NULL,
-    payload BLOB NOT NULL, previous TEXT NOT NULL, hash TEXT NOT NULL);
-CREATE INDEX event_kind ON event (kind, run);
-CREATE UNIQUE INDEX one_episode ON event (subject) WHERE kind = 'episode';
-CREATE UNIQUE INDEX one_start ON event (run) WHERE kind = 'run_started';
-CREATE TRIGGER event_is_never_changed BEFORE UPDATE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
-CREATE TRIGGER event_is_never_removed BEFORE DELETE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
-CREATE TABLE vector (seq INTEGER PRIMARY KEY REFERENCES event (seq), version TEXT NOT NULL, data BLOB NOT NULL);
-"""
 _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 
 
@@ -55,10 +42,14 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Vector:
-    """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`."""
+    """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`.
+
+    Bit b of `mask` says that block b is there (see `embedding`).
+    """
 
     version: str
     data: bytes
+    mask: int = 0
 
 
 class LedgerReader:
@@ -76,12 +67,9 @@ class LedgerReader:
     def _admit(self) -> None:
         """Read text as it is, however damaged, and refuse a schema that this program does not know."""
         self._database.text_factory = _text
-        rows = self._database.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchall()
-        version = rows[0][0] if rows else "none"
-        if version != str(SCHEMA_VERSION):
-            raise InvalidSetup(
-                "ledger schema_version", got=version, allowed=str(SCHEMA_VERSION), fix=f"Update dualbrain. {self.path}"
-            )
+        self.schema = version_of(self._database)
+        if not self.schema:
+            raise InvalidSetup("memory ledger", got="an empty file", allowed="a ledger", fix=str(self.path))
 
     @contextmanager
     def _translated(self) -> Generator[None]:
@@ -101,7 +89,7 @@ class LedgerReader:
         condition = f"WHERE {where}" if where else ""
         with self._translated():
             query = f"SELECT {_COLUMNS} FROM event {condition} ORDER BY seq"
-            for row in self._database.execute(query, values):
+            for row in self._database.execute(query, clean(list(values))):
                 yield _event(row)
 
     def head(self) -> Head:
@@ -114,11 +102,27 @@ class LedgerReader:
         """Walk the whole chain (see `chain.walk`); an unreadable event is a report too."""
         return walk(self.events(), anchor)
 
-    def vectors(self) -> dict[int, Vector]:
-        """The vector projection: the event number of an episode → its vector."""
+    def event(self, seq: int) -> Event:
+        """The event number `seq`; raises `DamagedLedger` if there is none."""
+        for event in self.events("seq = ?", (seq,)):
+            return event
+        raise DamagedLedger("it is missing", seq=seq, path=str(self.path))
+
+    def last_before(self, time: float) -> int:
+        """Number of the last event written at or before `time` [s, 1970 UTC], 0 if there is none."""
         with self._translated():
-            rows = self._database.execute("SELECT seq, version, data FROM vector").fetchall()
-        return {seq: Vector(version, data) for seq, version, data in rows}
+            row = self._database.execute("SELECT max(seq) FROM event WHERE time <= ?", (time,)).fetchone()
+        return row[0] or 0
+
+    def vectors(self, after: int = 0) -> Iterator[tuple[int, Vector]]:
+        """The vector projection: the event number of each episode after event `after`, and its vector."""
+        if self.schema < SCHEMA_VERSION:
+            fix = f"Open it once for writing: `dualbrain memory rebuild`. {self.path}"
+            raise InvalidSetup("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
+        with self._translated():
+            query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
+            for seq, version, data, mask in self._database.execute(query, (after,)):
+                yield seq, Vector(version, data, mask)
 
     def close(self) -> None:
         """Close the file."""
@@ -138,27 +142,33 @@ class Ledger(LedgerReader):
     Assumption: the disk keeps what it says it has synced.
     """
 
-    def __init__(self, path: Path, *, holder: str, now: float) -> None:
-        """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC]; raises `LedgerInUse` if it is taken."""
-        self.path, self._run = path, ""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._lock = WriterLock(path, Holder(os.getpid(), holder, now))
+    def __init__(self, path: Path, *, holder: str, now: float, patience: float = 0.0) -> None:
+        """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC].
+
+        Raises `LedgerInUse` if it is still taken after `patience` [s], `InvalidSetup` if it cannot be written. An older
+        schema is brought to the present one, and an event says so.
+        """
+        self.path, self.opened, self._run = path, now, ""
+        with _readable(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = WriterLock(path, Holder(os.getpid(), holder, now), patience=patience)
         try:
             with self._translated():
                 self._database = sqlite3.connect(path, isolation_level=None)
-                self._create()
+                found = self._create()
                 self._admit()
+            if 0 < found < SCHEMA_VERSION:
+                self.append([Entry(MIGRATED, "", {"from": found, "to": SCHEMA_VERSION})], now=now)
         except BaseException:
             self._lock.release()
             raise
 
-    def _create(self) -> None:
+    def _create(self) -> int:
         mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
         if mode != "wal":
             raise InvalidSetup("ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}")
         self._database.execute("PRAGMA synchronous = FULL")
-        if not self._database.execute("SELECT 1 FROM sqlite_master").fetchone():
-            self._database.executescript(f"BEGIN IMMEDIATE;{_SCHEMA}COMMIT;")
+        return create(self._database)
 
     def append(self, entries: Sequence[Entry], *, now: float) -> tuple[Event, ...]:
         """Chain and store `entries`, all or none, written at `now` [s, 1970 UTC]."""
@@ -166,7 +176,7 @@ class Ledger(LedgerReader):
             raise InvalidSetup("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
         head, events = self.head(), list[Event]()
         for entry in entries:
-            event = _chained(entry, self._run if entry.run is None else _clean(entry.run), now, head)
+            event = _chained(entry, self._run if entry.run is None else clean(entry.run), now, head)
             events.append(event)
             head = Head(event.seq, event.hash)
         with self._transaction():
@@ -185,7 +195,8 @@ class Ledger(LedgerReader):
                 self._project(seq, vector)
 
     def _project(self, seq: int, vector: Vector) -> None:
-        self._database.execute("INSERT INTO vector VALUES (?, ?, ?)", (seq, vector.version, vector.data))
+        row = (seq, vector.version, vector.data, vector.mask)
+        self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
 
     @contextmanager
     def _transaction(self) -> Generator[None]:
@@ -204,7 +215,7 @@ class Ledger(LedgerReader):
         cut = self.interrupted()
         closing = [Entry(runs.INTERRUPTED, "", {"after": one.last_words, "found_by": run}, run=one.run) for one in cut]
         self.append([*closing, Entry(runs.STARTED, "", details, run=run)], now=now)
-        self._run = _clean(run)
+        self._run = clean(run)
         return cut
 
     def mark(self, what: str, *, now: float) -> None:
@@ -235,24 +246,18 @@ class Ledger(LedgerReader):
 
 
 def _chained(entry: Entry, run: str, now: float, head: Head) -> Event:
-    payload = msgspec.json.encode(_clean(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic")
-    event = Event(head.seq + 1, entry.kind, run, _clean(entry.subject), float(now), payload, head.hash, "")
+    payload = msgspec.json.encode(clean(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic")
+    event = Event(head.seq + 1, entry.kind, run, clean(entry.subject), float(now), payload, head.hash, "")
     return replace(event, hash=digest(event))
 
 
-def _clean(value: Any) -> Any:
-    """The same value without what JSON in UTF-8 cannot hold: lone surrogates become U+FFFD, huge integers words."""
-    match value:
-        case str():
-            return value.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
-        case dict():
-            return {_clean(key): _clean(item) for key, item in cast("dict[str, Any]", value).items()}
-        case list() | tuple():
-            return [_clean(item) for item in cast("list[Any]", value)]
-        case int() if value.bit_length() > 63:
-            return f"an integer of {value.bit_length()} bits"
-        case _:
-            return value
+@contextmanager
+def _readable(path: Path) -> Generator[None]:
+    try:
+        yield
+    except OSError as error:
+        allowed = "a ledger that this user can read and write, on a disk with space"
+        raise InvalidSetup("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
 
 
 def _text(raw: bytes) -> str:

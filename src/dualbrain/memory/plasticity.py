@@ -6,24 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 from dualbrain.errors import InvalidSetup
+from dualbrain.memory.affine import Factors
 
 W0 = 0.5
 """Weight of a new memory before any outcome."""
-
-
-@dataclass(frozen=True, slots=True)
-class Factors:
-    """One update as a clipped affine map w ← min(1, max(0, gain·w + offset)): what a weight event stores.
-
-    Such maps are closed under composition, so that a log of them can be folded, undone and replayed without the rule.
-    """
-
-    gain: float
-    offset: float
-
-    def __call__(self, w: float) -> float:
-        """The weight after the update, in [0, 1]."""
-        return min(1.0, max(0.0, self.gain * w + self.offset))
+WIDEST = 0.3
+"""The widest neighbourhood ℓ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +45,10 @@ class Plasticity:
     Promise: w stays in [0, 1]; reinforcing never lowers it, suppressing never raises it, more Δ never suppresses less;
     under repeated success w → min(1, η₊/ρ) = 1, under repeated failure w → 0. Updates do not commute: their order in
     the ledger is part of their meaning. Defaults suit a Δ of about 0.003 in clean successes; set ε per robot.
+
+    Neighbourhood: w_j ← min{1, max{0, w_j + κ ξ exp(−‖e_j − e_i‖²/2ℓ²)}} with κ `kappa`, ξ = ±1, ℓ `bandwidth`, for at
+    most `reach` memories j ≠ i within 3ℓ, where the factor has fallen to 0.011. ℓ ≤ 0.3, that is cos ≥ 0.6: wider, and
+    unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: a neighbour's outcome never outweighs an own one.
     """
 
     rho: float = 0.05
@@ -64,6 +56,9 @@ class Plasticity:
     eta_minus: float = 0.2
     epsilon: float = 0.003
     g: Penalty = field(default_factory=Penalty)
+    kappa: float = 0.02
+    bandwidth: float = 0.2
+    reach: int = 100
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for a rule under which Proposition 2 would not hold."""
@@ -78,8 +73,13 @@ class Plasticity:
         _require("g.floor", g.floor, 0.0 <= g.floor <= 1.0, "in [0, 1]")
         _require("g.scale", g.scale, 0.0 < g.scale < math.inf, "above 0")
         _require("g.rejected", g.rejected, 0.0 <= g.rejected < math.inf, "at least 0")
+        _require("kappa", self.kappa, 0.0 <= self.kappa <= 1.0, "in [0, 1]")
+        _require("bandwidth", self.bandwidth, 0.0 < self.bandwidth <= WIDEST, f"above 0, at most {WIDEST}")
+        _require("reach", self.reach, self.reach >= 0, "at least 0")
         weakest = self.eta_minus * min(g.floor, g.rejected)
         _require("eta_minus * g", weakest, weakest > 0.0 or self.rho > 0.0, "above 0, or rho above 0")
+        most = min(self.eta_plus - self.rho, weakest)
+        _require("kappa", self.kappa, self.kappa <= max(most, 0.0), f"at most eta_plus - rho and eta_minus * g: {most}")
 
     def reinforces(self, r: int, Delta: float | None) -> bool:
         """True if the outcome is a success with little intervention; a missing or non-finite Δ is not."""
@@ -90,6 +90,16 @@ class Plasticity:
         if self.reinforces(r, Delta):
             return Factors(1.0 - self.rho, self.eta_plus)
         return Factors(1.0 - self.rho, -self.eta_minus * self.g(Delta))
+
+    @property
+    def radius(self) -> float:
+        """Largest squared distance ‖e_j − e_i‖² of a neighbour, (3ℓ)²."""
+        return (3.0 * self.bandwidth) ** 2
+
+    def neighbour_offset(self, distance: float, *, up: bool) -> float:
+        """κ ξ exp(−d²/2ℓ²) for the squared distance d² = `distance`; ξ = +1 if `up`, else −1."""
+        size = self.kappa * math.exp(-distance / (2.0 * self.bandwidth**2))
+        return size if up else -size
 
 
 def _require(what: str, got: float, holds: bool, allowed: str) -> None:

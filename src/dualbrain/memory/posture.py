@@ -74,6 +74,13 @@ def _frequencies(dim: int, rows: int, seed: int) -> Array:
     return (np.vstack(directions) * lengths[:, None])[:rows]
 
 
+def orthogonal_rows(rows: int, dim: int, seed: int) -> Array:
+    """Orthonormal rows of shape (rows, dim), uniformly turned, the same on every machine."""
+    gaussian = _normals(seed, rows * dim).reshape(rows, dim)
+    q, r = np.linalg.qr(gaussian.T)
+    return (q * np.sign(np.diag(r))).T
+
+
 def _orthogonal(block: Array) -> Array:
     """The Q factor whose R has a positive diagonal: the one choice of signs that every LAPACK agrees on."""
     q, r = np.linalg.qr(block)

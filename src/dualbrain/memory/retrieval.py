@@ -11,6 +11,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.memory.encoder import Rows
 
 Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +25,33 @@ class Hit:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
-    """A query of shape (dim,) and its cosine with every row, shape (n,), in float32."""
+class Query:
+    """A query row [α_b v_b] of shape (dim,), which blocks it has, Σ α_b over the blocks of each mask, shape (m,).
 
-    query: Rows
+    `scale` is α_b at every place of block b, shape (dim,).
+    """
+
+    row: Rows
+    mask: int
+    shares: NDArray[np.float64]
+    scale: Rows
+
+    @classmethod
+    def plain(cls, row: Rows) -> Query:
+        """A query of one block."""
+        return cls(row, 1, np.array([0.0, 1.0]), np.ones_like(row))
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A query and its cosine with every row, shape (n,), in float32."""
+
+    query: Query
     cosine: Rows
 
 
 class Scan:
-    """All embeddings in one float32 matrix of shape (n, dim), all weights beside it.
+    """All embeddings in one float32 matrix of shape (n, dim), all weights and block masks beside it.
 
     A robot makes 1e4 to 1e5 episodes in years; up to there reading every row is as fast as memory allows, and it is
     exact, while over-fetching by similarity misses most of the true top k of R.
@@ -42,18 +61,38 @@ class Scan:
         """Begin empty, for embeddings of length `dim`."""
         self._rows: Rows = np.empty((0, dim), np.float32)
         self._weights = np.empty(0)
+        self._masks: NDArray[np.uint8] = np.empty(0, np.uint8)
         self._count = 0
+        self._mask: int | None = None
 
     def __len__(self) -> int:
         return self._count
 
-    def add(self, embedding: Rows, weight: float) -> int:
-        """Append one unit row of shape (dim,); returns its number. Later rows are newer."""
+    @property
+    def rows(self) -> Rows:
+        """All embeddings, shape (n, dim); not to be written to."""
+        return self._rows[: self._count]
+
+    @property
+    def masks(self) -> NDArray[np.uint8]:
+        """Which blocks each row has, shape (n,)."""
+        return self._masks[: self._count]
+
+    def load(self, rows: Rows, weights: NDArray[np.float64], masks: NDArray[np.uint8]) -> None:
+        """Take whole arrays, shapes (n, dim), (n,), (n,), in place of what is there."""
+        self._rows, self._weights, self._masks, self._count = rows, weights, masks, len(rows)
+        found = np.unique(masks)
+        self._mask = int(found[0]) if found.size == 1 else None
+
+    def add(self, embedding: Rows, weight: float, mask: int = 1) -> int:
+        """Append one row of shape (dim,); returns its number. Later rows are newer."""
         if self._count == len(self._rows):
-            room = max(64, len(self._rows))
+            room = max(64, len(self._rows) // 2)
             self._rows = np.concatenate([self._rows, np.empty((room, self._rows.shape[1]), np.float32)])
             self._weights = np.concatenate([self._weights, np.empty(room)])
-        self._rows[self._count], self._weights[self._count] = embedding, weight
+            self._masks = np.concatenate([self._masks, np.empty(room, np.uint8)])
+        self._rows[self._count], self._weights[self._count], self._masks[self._count] = embedding, weight, mask
+        self._mask = mask if self._count == 0 or self._mask == mask else None
         self._count += 1
         return self._count - 1
 
@@ -65,9 +104,16 @@ class Scan:
         """Set w of one row."""
         self._weights[row] = weight
 
-    def compare(self, query: Rows) -> Compared:
+    def compare(self, query: Query) -> Compared:
         """Read every row once; the result serves any number of `top` calls until a row is added."""
-        return Compared(query, self._rows[: self._count] @ query)
+        product = self.rows @ query.row
+        if self._mask is not None:
+            share = query.shares[self._mask & query.mask]
+            if abs(share - 1.0) > 1e-6:
+                product *= np.float32(1.0 / share if share else 0.0)
+            return Compared(query, product)
+        shares = query.shares[self.masks & query.mask].astype(np.float32)
+        return Compared(query, np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0))
 
     def top(self, compared: Compared, eligible: Mask, k: int, lambda_s: float) -> tuple[Hit, ...]:
         """The k eligible rows with the largest R = λ_s (1 + cos)/2 + (1 − λ_s) w, best first; the newer wins a tie.
@@ -76,20 +122,35 @@ class Scan:
         so the answer equals that of a float64 sort, and equal rows tie exactly wherever they stand.
         """
         check_lambda(lambda_s)
-        query, rows = compared.query, np.flatnonzero(eligible)
+        rows = np.flatnonzero(eligible)
         if k <= 0 or rows.size == 0:
             return ()
-        rough = lambda_s * (1.0 + compared.cosine[rows]) / 2.0 + (1.0 - lambda_s) * self._weights[rows]
-        rows = rows[rough >= _kth(rough, k) - 2.0 * query.size * 2.0**-24]
-        return self._ranked(rows, query, lambda_s)[:k]
+        whole = rows.size == self._count
+        cosine = compared.cosine if whole else compared.cosine[rows]
+        weights = self._weights[: self._count] if whole else self._weights[rows]
+        rough = cosine * np.float32(lambda_s / 2.0)
+        rough += (1.0 - lambda_s) * weights
+        return self._ranked(rows[rough >= _kth(rough, k) - self._slack(compared.query)], compared.query, lambda_s)[:k]
 
-    def _ranked(self, rows: NDArray[np.intp], query: Rows, lambda_s: float) -> tuple[Hit, ...]:
-        cosine = (self._rows[rows].astype(np.float64) * query.astype(np.float64)).sum(axis=1)
+    def _slack(self, query: Query) -> float:
+        """Bound of the rounding of a float32 score."""
+        present = query.shares[query.shares > 0.0]
+        least = min(1.0, float(present.min())) if present.size else 1.0
+        return (2.0 * query.row.size / least + 8.0) * 2.0**-24
+
+    def _ranked(self, rows: Numbers, query: Query, lambda_s: float) -> tuple[Hit, ...]:
+        cosine = self.cosines(rows, query)
         similarity = np.clip((1.0 + cosine) / 2.0, 0.0, 1.0)
         weights = self._weights[rows]
         score = lambda_s * similarity + (1.0 - lambda_s) * weights
         order = np.lexsort((-rows, -score))
         return tuple(Hit(int(rows[i]), float(similarity[i]), float(weights[i]), float(score[i])) for i in order)
+
+    def cosines(self, rows: Numbers, query: Query) -> NDArray[np.float64]:
+        """The cosine of some rows with the query in float64, each computed apart, shape (len(rows),)."""
+        product = (self._rows[rows].astype(np.float64) * query.row.astype(np.float64)).sum(axis=1)
+        shares = query.shares[self._masks[rows] & query.mask]
+        return np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0)
 
 
 def check_lambda(lambda_s: float) -> None:

@@ -8,8 +8,12 @@ from typing import Any, Literal
 
 import msgspec
 
+from dualbrain.memory.events import Status
+from dualbrain.memory.picture import Picture
 from dualbrain.memory.plasticity import W0, Plasticity
 from dualbrain.memory.posture import Posture
+from dualbrain.memory.provenance import Provenance, provenance_of
+from dualbrain.memory.retrieval import Hit
 from dualbrain.records import Episode, Exemplar, OutcomeClass, Recall
 
 Lesson = Literal["follow", "avoid", "none"]
@@ -56,52 +60,50 @@ class Trace(msgspec.Struct, frozen=True):
     contract: dict[str, Any] | None
     outcome: Told
 
-    @property
-    def lesson(self) -> Lesson:
-        """Whether the contract is to be followed, avoided, or neither."""
-        return LESSONS[self.outcome.kind]
-
-    @property
-    def partition(self) -> tuple[str, str, Lesson]:
-        """Memories are compared only inside one robot, one registry and one lesson."""
-        return self.robot, self.registry, self.lesson
-
-    def exemplar(self, *, similarity: float, weight: float, score: float, rank: int) -> Exemplar:
+    def exemplar(self, hit: Hit, rank: int, parts: dict[str, float]) -> Exemplar:
         """This memory as the planner gets it; a contract that never parsed is {}."""
         told = self.outcome
         succeeded = told.kind == "succeeded"
         return Exemplar(
             self.id, self.instruction, self.summary, self.contract or {}, succeeded, told.Delta,
-            similarity, weight, score, rank, reason="" if succeeded else told.reason,
+            hit.similarity, hit.weight, hit.score, rank, reason="" if succeeded else told.reason, parts=parts,
         )  # fmt: skip
 
 
-class Weighing(msgspec.Struct, frozen=True):
-    """Payload of a weight event: outcome of episode `cause` moved the weight of `memory` from `before` to `after`.
+class ToldMemo(msgspec.Struct, frozen=True):
+    """The part of a stored episode that weights, filters and audits need."""
 
-    `rank` is the place of the memory in the prompt, 0 for the new memory itself. `gain` and `offset` are the clipped
-    affine map that was applied, so that a replay needs neither rule nor index.
-    """
-
-    cause: str
-    memory: str
-    rule: Literal["reinforce", "suppress"]
-    rank: int
-    gain: float
-    offset: float
-    before: float
-    after: float
+    id: str
+    robot: str
+    registry: str
+    outcome: Told
 
 
-class _Stored(msgspec.Struct, frozen=True):
+class MemoHead(msgspec.Struct, frozen=True):
+    """The part of an episode event that weights, filters and audits need."""
+
+    episode: ToldMemo
+    w0: float
+    provenance: Provenance = Provenance()
+    status: Status = "active"
+
+
+class Stored(msgspec.Struct, frozen=True):
+    """The part of an episode event from which its vector can be made again."""
+
     episode: Trace
     state: Posture
-    w0: float
+    image: Picture | None = None
 
 
-def payload(episode: Episode, state: Posture, version: str, plasticity: Plasticity | None) -> dict[str, Any]:
+def payload(
+    episode: Episode, state: Posture, image: Picture | None, version: str, plasticity: Plasticity | None, status: Status
+) -> dict[str, Any]:
     """What is written of `episode`, by an allow-list of its fields, with the rule and embedding then in force."""
     return {
+        "provenance": provenance_of(episode),
+        "status": status,
+        "image": image,
         "episode": {name: getattr(episode, name) for name in STORED},
         "state": state,
         "retrieved": retrieved(episode.recall),
@@ -126,12 +128,24 @@ def _rank(hit: Exemplar) -> int:
     return hit.rank
 
 
-def read_episode(data: bytes) -> tuple[Trace, Posture, float]:
-    """Trace, posture and first weight from the payload of an episode event."""
-    stored = msgspec.json.decode(data, type=_Stored)
-    return stored.episode, stored.state, stored.w0
+def read_stored(data: bytes) -> Stored:
+    """What an embedding needs, from the payload of an episode event."""
+    return msgspec.json.decode(data, type=Stored)
 
 
-def read_weighing(data: bytes) -> Weighing:
-    """The payload of a weight event."""
-    return msgspec.json.decode(data, type=Weighing)
+def read_memo(data: bytes) -> MemoHead:
+    """What weights and filters need, from the payload of an episode event."""
+    return msgspec.json.decode(data, type=MemoHead)
+
+
+class _Shown(msgspec.Struct, frozen=True):
+    memory: str
+
+
+class _Prompt(msgspec.Struct, frozen=True):
+    retrieved: tuple[_Shown, ...]
+
+
+def read_shown(data: bytes) -> tuple[str, ...]:
+    """Ids of the memories that stood in the prompt, in their order, from the payload of an episode event."""
+    return tuple(shown.memory for shown in msgspec.json.decode(data, type=_Prompt).retrieved)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
+import time
 from pathlib import Path
 from typing import BinaryIO
 
@@ -33,6 +35,10 @@ class LedgerInUse(DualbrainError):
         )
 
 
+POLL = 0.02
+"""Pause between two attempts to take the lock [s]."""
+
+
 class WriterLock:
     """An exclusive `flock` on `<ledger>.lock`.
 
@@ -40,26 +46,45 @@ class WriterLock:
     Assumption: a local file system (network file systems may not honour `flock`).
     """
 
-    def __init__(self, ledger: Path, holder: Holder) -> None:
-        """Take the lock or raise `LedgerInUse`."""
+    def __init__(self, ledger: Path, holder: Holder, *, patience: float = 0.0) -> None:
+        """Take the lock, trying for about `patience` [s], or raise `LedgerInUse`."""
         path = ledger.with_name(ledger.name + ".lock")
         self._file: BinaryIO = path.open("a+b")
+        attempts = 1 + round(patience / POLL)
+        while not _taken(self._file):
+            attempts -= 1
+            if not attempts:
+                other = _read_holder(self._file)
+                self._file.close()
+                raise LedgerInUse(other, str(ledger))
+            time.sleep(POLL)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            other = _read_holder(self._file)
+            self._file.truncate(0)
+            self._file.write(msgspec.json.encode(holder))
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError:  # a full disk
+            self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        """Let go although the buffered words could not be written."""
+        with contextlib.suppress(OSError):
             self._file.close()
-            raise LedgerInUse(other, str(ledger)) from None
-        self._file.truncate(0)
-        self._file.write(msgspec.json.encode(holder))
-        self._file.flush()
-        os.fsync(self._file.fileno())
 
     def release(self) -> None:
         """Let the next writer in; the file stays, empty."""
         if not self._file.closed:
             self._file.truncate(0)
             self._file.close()
+
+
+def _taken(file: BinaryIO) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _read_holder(file: BinaryIO) -> Holder | None:

@@ -17,6 +17,7 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import short_form
 from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
+from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.protocol import STOP, Planner
@@ -24,6 +25,7 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
@@ -54,6 +56,8 @@ class Witness:
     begin: Callable[[Contract], None]
     judge: Callable[[], Judgement | None]
     versions: dict[str, str]
+    picture: Callable[[], Picture | None] = lambda: None
+    """What the robot's camera sees before it plans, if it has one."""
 
 
 def run_episode(
@@ -68,8 +72,9 @@ def run_episode(
     scene, names = layer.scene, scene_names(layer.scene)
     summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
     posture = Posture(tuple(layer.state.q.tolist()), layer.state.opening)
+    image = witness.picture()
     recall = memory.recall(
-        errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars
+        errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
     )  # fmt: skip
     gate = Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
     request = PlanRequest(
@@ -102,9 +107,10 @@ def run_episode(
         recall,
         tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
         _timings(attempts, outcome), witness.versions, dict(layer.log.binding),
+        second_opinion(layer.scene, contract, outcome),
     )  # fmt: skip
     keep(episode)
-    return episode, memory.store(episode, posture, now=now)
+    return episode, memory.store(episode, posture, now=now, image=image)
 
 
 def _check(gate: Gate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:

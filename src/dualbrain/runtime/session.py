@@ -16,11 +16,14 @@ import numpy as np
 from dualbrain import __version__, weights
 from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup
+from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.encoder import MiniLmEncoder
+from dualbrain.memory.image import IMAGE_WEIGHTS, ImageEncoder
 from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.runs import InterruptedRun
-from dualbrain.memory.store import Memory, MemoryConfig, StoreReport
+from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
@@ -38,6 +41,7 @@ from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.pictures import Camera
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import save_scene
 from dualbrain.world.task import goal_of
@@ -65,6 +69,8 @@ class RunConfig:
     goal: str = ""
     measured: bool = False
     visuals: bool = True
+    eyes: bool = False
+    """Whether a picture of the scene is part of what memory compares (its image block)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +131,7 @@ class Session:
         self.spec = open_scene(config.scene)
         goal = goal_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
+        self._eyes = ImageEncoder(weights.locate(IMAGE_WEIGHTS, config.cache)) if config.eyes else None
         self.planner = planner or self._open_planner(environ)
         if planner is None:
             self._stack.callback(self.planner.close)
@@ -188,7 +195,7 @@ class Session:
             config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
         )
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
-        witness = Witness(world.begin, world.judgement, self._versions())
+        witness = Witness(world.begin, world.judgement, self._versions(), self._picture)
         episode, stored = run_episode(
             errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now()
         )  # fmt: skip
@@ -197,6 +204,13 @@ class Session:
             moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
             log.note(layer.state.stamp, "memory", why, **moved)
         return episode, stored
+
+    def _picture(self) -> Picture | None:
+        """What the camera at the front sees now, as features."""
+        if self._eyes is None:
+            return None
+        with Camera(self.plant, width=320, height=240) as camera:
+            return self._eyes.encode(camera.snap())
 
     def _keep(self, episode: Episode) -> None:
         self.config.out.joinpath("episode.json").write_bytes(

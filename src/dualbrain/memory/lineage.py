@@ -1,0 +1,39 @@
+"""Which events are in effect: a rollback is itself an event, after which the history branches off an earlier one.
+
+Events form a tree. The parent of event s is s − 1; the parent of a rollback to T is T. What holds at s is the path from
+the root to s. So nothing is ever undone for good: rolling back to a moment before a rollback brings back what it hid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from dualbrain.errors import InvalidSetup
+
+
+def spans(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
+    """The numbers of the events in effect at event `head`, oldest first, as ranges.
+
+    `rollbacks` maps the number of each rollback event to the event whose state it restored.
+    """
+    found: list[range] = []
+    marks = sorted(seq for seq in rollbacks if seq <= head)
+    end = head
+    while end > 0:
+        while marks and marks[-1] > end:
+            marks.pop()
+        start = marks[-1] if marks else 1
+        found.append(range(start, end + 1))
+        end = rollbacks[start] if marks else 0
+    return tuple(reversed(found))
+
+
+def in_effect(rollbacks: Mapping[int, int], head: int) -> Iterable[int]:
+    """Every event number in effect at `head`, oldest first."""
+    return (seq for span in spans(rollbacks, head) for seq in span)
+
+
+def check_target(target: int, head: int) -> None:
+    """Raise `InvalidSetup` unless an event `target` can be rolled back to when `head` is the newest."""
+    if not 0 <= target <= head:
+        raise InvalidSetup("rollback target", got=target, allowed=f"an event number from 0 to {head}")

@@ -1,0 +1,318 @@
+"""What the events add up to: rollback, as of a time, as if never seen, compaction, snapshots, migration."""
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.memory import schema, snapshot, store
+from dualbrain.memory.compact import compact, maps
+from dualbrain.memory.curation import forget, quarantine, release, roll_back
+from dualbrain.memory.derive import as_of, derive
+from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
+from dualbrain.memory.lineage import in_effect
+from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.store import Memory
+from dualbrain.memory.trace import LESSONS
+from dualbrain.memory.trust import Trust
+from dualbrain.records import OutcomeClass, Recall
+
+from .samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
+
+LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=Trust.none())
+"""With a neighbourhood and without defences: every outcome moves several weights."""
+WORDS = "put the red cube in the bowl"
+Steps = list[tuple[OutcomeClass, float, int]]
+steps = st.lists(
+    st.tuples(st.sampled_from(tuple(LESSONS)), st.sampled_from((0.0, 0.002, 0.5)), st.integers(0, 3)),
+    min_size=1, max_size=9,
+)  # fmt: skip
+
+
+def _recall(memory: Memory, k: int) -> Recall:
+    return memory.recall(WORDS, "neighbour_across low", REST, "arm", "aaaa1111", k=k)
+
+
+def _live(memory: Memory, sequence: Steps, start: int = 0) -> None:
+    for i, (kind, Delta, k) in enumerate(sequence, start):
+        one = episode(f"e-{i}", kind, Delta=Delta, recall=_recall(memory, k), summary=f"neighbour_across low, n{i % 3}")
+        memory.store(one, REST, now=NOW + i)
+
+
+@given(st.integers(1, 40), st.data())
+def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data: st.DataObject) -> None:
+    """Oracle: the definition, event by event."""
+    marks = data.draw(st.sets(st.integers(1, 40), max_size=6))
+    rollbacks = {seq: data.draw(st.integers(0, seq - 1)) for seq in sorted(marks)}
+    path, at = [], head
+    while at:
+        path.append(at)
+        at = rollbacks.get(at, at - 1)
+    assert list(in_effect(rollbacks, head)) == path[::-1]
+
+
+@settings(max_examples=15, deadline=None)
+@given(steps, steps)
+def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPathFactory, a: Steps, b: Steps) -> None:
+    with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, a)
+        then, answer, mark = memory.weights(), _recall(memory, 3), ledger.head().seq
+        _live(memory, b, start=len(a))
+        later, present = memory.weights(), ledger.head().seq
+        roll_back(memory, mark, "a bad afternoon", now=NOW + 99)
+        assert (memory.weights(), _recall(memory, 3)) == (then, answer)
+        assert open_memory(ledger, LIVELY).weights() == then
+        roll_back(memory, present, "it was not so bad", now=NOW + 100)
+        assert memory.weights() == later
+        assert ledger.verify().whole
+
+
+@settings(max_examples=15, deadline=None)
+@given(steps)
+def test_as_of_a_time_is_what_was_live_then(tmp_path_factory: pytest.TempPathFactory, sequence: Steps) -> None:
+    with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
+        memory, seen = open_memory(ledger, LIVELY), []
+        for i, step in enumerate(sequence):
+            _live(memory, [step], start=i)
+            seen.append(memory.weights())
+        for i, weights in enumerate(seen):
+            assert as_of(ledger, NOW + i + 0.5).weights() == weights
+        assert as_of(ledger, NOW - 1).weights() == {}
+
+
+@settings(max_examples=20, deadline=None)
+@given(steps, st.data())
+def test_set_aside_equals_never_seen(
+    tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject
+) -> None:
+    """Two ways to the same weights: quarantine, and a second ledger in which the same events happened without them.
+
+    Release then brings back what was, to the bit.
+    """
+    with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, sequence)
+        before, answer = memory.weights(), _recall(memory, 3)
+        bad = data.draw(st.sets(st.sampled_from(sorted(before)), min_size=1))
+        expected = derive(ledger, unseen=bad).weights()
+        replayed = _replayed_without(ledger, bad)
+        quarantine(memory, sorted(bad), "an audit", now=NOW + 50)
+        left = {name: w for name, w in memory.weights().items() if name not in bad}
+        assert left == expected == replayed
+        assert not {hit.episode_id for hit in (*_recall(memory, 9).exemplars, *_recall(memory, 9).warnings)} & bad
+        release(memory, sorted(bad), "it was right", now=NOW + 51)
+        assert {name: w for name, w in memory.weights().items() if name not in bad} == {
+            name: w for name, w in before.items() if name not in bad
+        }
+        taught = [name for name in bad if LESSONS[memory.state[name].kind] != "none"]
+        if len(taught) == len(bad):
+            assert (memory.weights(), _recall(memory, 3)) == (before, answer)
+
+
+def _replayed_without(ledger: Ledger, bad: set[str]) -> dict[str, float]:
+    """Oracle: every stored map applied by hand, passing over what `bad` caused."""
+    weights: dict[str, float] = {}
+    for event in ledger.events():
+        told = msgspec.json.decode(event.payload)
+        if event.kind == "episode" and event.subject not in bad:
+            weights[event.subject] = told["w0"]
+        elif event.kind == "weight" and told["cause"] not in bad and told["memory"] in weights:
+            value = told["gain"] * weights[told["memory"]] + told["offset"]
+            weights[told["memory"]] = min(1.0, max(0.0, value))
+        elif event.kind == "neighbours" and told["cause"] not in bad:
+            for name, offset in zip(told["memories"], told["offsets"], strict=True):
+                if name in weights:
+                    weights[name] = min(1.0, max(0.0, weights[name] + offset))
+    return weights
+
+
+def test_what_is_forgotten_is_gone_for_recall_and_stays_in_the_chain(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, [("succeeded", 0.0, 2)] * 3)
+        forget(memory, ["e-1"], "a person asked", now=NOW + 9)
+        assert {hit.episode_id for hit in _recall(memory, 9).exemplars} == {"e-2", "e-0"}
+        with pytest.raises(InvalidSetup, match="memories to release: got \\['e-1'\\]"):
+            release(memory, ["e-1"], "no", now=NOW + 10)
+        assert ledger.verify().whole
+        assert any(event.subject == "e-1" for event in ledger.events("kind = 'episode'"))
+
+
+@pytest.mark.parametrize(("names", "reason", "error"), [((), "why", InvalidSetup), (("e-0",), " ", InvalidSetup),
+                                                        (("e-9",), "why", UnknownName)])  # fmt: skip
+def test_a_change_without_subject_or_reason_is_refused(tmp_path: Path, names, reason, error) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _live(memory, [("succeeded", 0.0, 0)])
+        head = ledger.head()
+        with pytest.raises(error):
+            quarantine(memory, names, reason, now=NOW)
+        with pytest.raises(InvalidSetup, match="rollback target"):
+            roll_back(memory, head.seq + 1, "why", now=NOW)
+        assert ledger.head() == head
+
+
+def test_a_reader_recalls_and_does_not_write(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _live(memory, [("succeeded", 0.0, 0)])
+        expected = _recall(memory, 3)
+        with LedgerReader(tmp_path / "ledger.db") as reader:
+            reading = open_memory(reader)
+            assert _recall(reading, 3) == expected
+            with pytest.raises(InvalidSetup, match="opened for reading"):
+                _live(reading, [("succeeded", 0.0, 0)], start=1)
+
+
+# --- compaction -----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=15, deadline=None)
+@given(steps, st.data())
+def test_compaction_keeps_every_weight_to_the_bit(
+    tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject
+) -> None:
+    folder = tmp_path_factory.mktemp("l")
+    with open_ledger(folder) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, sequence)
+        for name in data.draw(st.sets(st.sampled_from(sorted(memory.weights())), max_size=2)):
+            data.draw(st.sampled_from((quarantine, forget)))(memory, [name], "odd", now=NOW + 50)
+        weights, answer = memory.weights(), _recall(memory, 5)
+        folded = maps(ledger, memory.state)
+        assert {name: f(0.5) for name, f in folded.items()} == pytest.approx(weights, abs=1e-12)
+        compact(ledger, folder / "short.db", holder="a test", now=NOW + 60)
+        head = ledger.head()
+    with Ledger(folder / "short.db", holder="a test", now=NOW) as short:
+        again = open_memory(short, LIVELY)
+        assert short.verify().whole
+        assert (again.weights(), _recall(again, 5)) == (weights, answer)
+        assert {m.id: m.status for m in again.state.memos} == {m.id: m.status for m in memory.state.memos}
+        first = next(iter(short.events()))
+        assert f'"hash":"{head.hash}"'.encode() in first.payload
+        _live(again, [("succeeded", 0.0, 2)], start=90)
+    with pytest.raises(InvalidSetup, match="compacted ledger"), LedgerReader(folder / "ledger.db") as reader:
+        compact(reader, folder / "short.db", holder="a test", now=NOW)
+
+
+# --- snapshots ------------------------------------------------------------------------------------------------------
+
+
+def _snapshot_of(folder: Path, sequence: Steps, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    with open_ledger(folder) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        _live(memory, sequence)
+        memory.leave_snapshot(ledger, now=NOW + 70)
+        _live(memory, [("failed", 0.5, 2), ("succeeded", 0.0, 1)], start=70)
+        monkeypatch.setattr(store, "derive", _never)
+        return memory.weights()
+
+
+def _never(*_: object) -> None:
+    raise AssertionError("it read every event")
+
+
+SEQUENCE: Steps = [("succeeded", 0.0, 2), ("failed", 0.1, 1), ("succeeded", 0.002, 3), ("rejected", 0.0, 2)]
+
+
+def test_a_start_from_a_snapshot_equals_one_from_the_first_event(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
+    with open_ledger(tmp_path) as ledger:
+        quick = open_memory(ledger, LIVELY)
+        monkeypatch.undo()
+        slow = derive(ledger)
+        assert quick.weights() == weights == slow.weights()
+        assert quick.state.influence == slow.influence
+        assert [m.status for m in quick.state.memos] == [m.status for m in slow.memos]
+        monkeypatch.setattr(snapshot, "read", lambda _: None)
+        assert _recall(quick, 5) == _recall(open_memory(ledger, LIVELY), 5)
+
+
+@pytest.mark.parametrize("where", [0, 9, 40, -1, -700])
+def test_a_damaged_snapshot_is_passed_over(tmp_path: Path, where: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
+    monkeypatch.undo()
+    (path,) = tmp_path.glob("*.snapshot-*")
+    raw = bytearray(path.read_bytes())
+    raw[where] ^= 1
+    path.write_bytes(raw)
+    with open_ledger(tmp_path) as ledger:
+        assert snapshot.read(ledger) is None
+        assert open_memory(ledger, LIVELY).weights() == weights
+
+
+@pytest.mark.parametrize("length", [0, 5, 300, -1])
+def test_a_torn_snapshot_is_passed_over(tmp_path: Path, length: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
+    monkeypatch.undo()
+    (path,) = tmp_path.glob("*.snapshot-*")
+    path.write_bytes(path.read_bytes()[:length])
+    with open_ledger(tmp_path) as ledger:
+        assert open_memory(ledger, LIVELY).weights() == weights
+
+
+def test_a_long_start_leaves_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "SNAPSHOT_AFTER", 3)
+    with open_ledger(tmp_path) as ledger:
+        _live(open_memory(ledger, LIVELY), SEQUENCE)
+    with open_ledger(tmp_path) as ledger:
+        weights = open_memory(ledger, LIVELY).weights()
+        assert snapshot.read(ledger) is not None
+        assert ledger.verify().whole
+    monkeypatch.setattr(store, "derive", _never)
+    with open_ledger(tmp_path) as ledger:
+        assert open_memory(ledger, LIVELY).weights() == weights
+
+
+def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
+    monkeypatch.undo()
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, LIVELY)
+        quarantine(memory, ["e-0"], "odd", now=NOW + 80)
+        weights = memory.weights()
+    with open_ledger(tmp_path) as ledger:
+        assert open_memory(ledger, LIVELY).weights() == weights
+
+
+# --- migration ------------------------------------------------------------------------------------------------------
+
+
+def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    with sqlite3.connect(path) as database:
+        database.executescript(schema._FIRST)
+    database.close()
+    with LedgerReader(path) as reader:
+        assert (reader.schema, reader.verify().whole) == (1, True)
+        with pytest.raises(InvalidSetup, match="schema_version: got 1, allowed: 2"):
+            list(reader.vectors())
+    with open_ledger(tmp_path) as ledger:
+        assert ledger.schema == schema.SCHEMA_VERSION
+        (event,) = ledger.events()
+        assert (event.kind, event.payload) == ("migrated", b'{"from":1,"to":2}')
+        ledger.append([Entry("note", "", 1)], now=NOW)
+        assert ledger.verify().whole
+        columns = {row[1] for row in ledger._database.execute("PRAGMA table_info(vector)")}
+    with open_ledger(tmp_path / "new") as fresh:
+        assert columns == {row[1] for row in fresh._database.execute("PRAGMA table_info(vector)")}
+        assert fresh.head().seq == 0
+
+
+def test_rows_of_a_snapshot_are_those_of_the_projection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _snapshot_of(tmp_path, SEQUENCE, monkeypatch)
+    monkeypatch.undo()
+    with open_ledger(tmp_path) as ledger:
+        found = snapshot.read(ledger)
+        assert found is not None
+        stored = [np.frombuffer(vector.data, "<f4") for _, vector in ledger.vectors()]
+        assert np.array_equal(found.rows, stored[: len(found.rows)])
