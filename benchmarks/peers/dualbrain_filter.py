@@ -29,7 +29,7 @@ class Filter:
         body = load_body("panda") if problem.whole_body else thin_body()
         config = FilterConfig(
             lag_compensation=problem.whole_body,
-            tracking_error=FilterConfig().tracking_error if problem.whole_body else 0.0,
+            tracking_error=None if problem.whole_body else 0.0,
             acceleration_limits=problem.whole_body or limited,
         )
         self.margin = config.sampling_margin + config.rounding_margin

@@ -17,7 +17,7 @@ from proofs import hazards
 from proofs.adversary_tables import tables
 from proofs.judge import judge_of, thing_rows
 from proofs.proof import Options, Row, Unit
-from proofs.trials import CLASSES, CONTROLS, LAG, MOVING, PUSH, STATIC, Class
+from proofs.trials import ALPHA, CLASSES, CONTROLS, LAG, MOVING, POSITION_ERROR, STATIC, Class
 
 EPISODES, STEPS = 20, 10_000
 CYCLE = [kind for kind in (*STATIC[:4], *STATIC, MOVING[0]) for _ in range(2)] + list(MOVING)
@@ -93,7 +93,7 @@ def run_in(kind: Class, seed: int, steps: int, *, log: bool = False) -> tuple[Ro
 def the_body() -> tuple[Body, Judge]:
     """The Panda with every sphere, the lag of the trials, fingers closed, and its judge."""
     body = load_body("panda")
-    body = msgspec.structs.replace(body, tracking=Tracking(LAG, PUSH, "bounds of the trials"))
+    body = msgspec.structs.replace(body, tracking=Tracking(LAG, POSITION_ERROR, ALPHA, "bounds of the trials"))
     return body, judge_of(body)
 
 

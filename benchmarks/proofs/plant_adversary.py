@@ -6,16 +6,16 @@ from functools import cache
 from time import process_time
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import Body, Tracking, load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.safety._kernel import Judge
-from dualbrain.safety.filter import FilterConfig, SafetyFilter
+from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.obstacles import Obstacle
-from dualbrain.world.drive import KINDS, Drive
+from dualbrain.world.drive import KINDS, DriveKind
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec, Thing
+from dualbrain.world.stepped_plant import SteppedPlant
 from proofs import hazards
 from proofs.figures import table
 from proofs.judge import judge_of, verdicts
@@ -25,8 +25,6 @@ from proofs.proof import Options, Row, Unit
 EPISODES, STEPS = 10, 10_000
 BLOCKS = 51
 """Units of each kind of drive: 5.1e6 steps."""
-TRACKING = {"velocity": (0.001, 0.0063), "computed_torque": (0.002, 1e-4)}
-"""Lag [s] and position error [rad] of each drive, as `identify` finds them."""
 SUMS = ("steps", "below", "below_spheres", "below_joints", "looks")
 LEAST = ("h_scene", "h_own", "h_spheres", "h_joint")
 
@@ -68,18 +66,18 @@ class PlantAdversary:
         return [first, "", *table(_HEAD, (_cells(kind, t) for kind, t in totals.items()))]
 
 
-def episode(kind: str, seed: int, steps: int = STEPS) -> Row:
+def episode(kind: DriveKind, seed: int, steps: int = STEPS) -> Row:
     """One random scene, start posture and adversary; judged at every state the plant went through."""
     body, judge = the_body(kind)
     rng = np.random.default_rng([seed, KINDS.index(kind), 3])
     start = hazards.posture(body, judge, rng)
     truth = hazards.things(judge, start, rng, int(rng.integers(4, 12)))
-    plant = Plant(SceneSpec("panda", "hazards", seed, tuple(map(_thing, truth[1:])), ()), body)
+    plant = Plant(SceneSpec("panda", "hazards", seed, tuple(map(_thing, truth[1:])), ()), body, drive=kind)
     plant.place_arm(start)
-    safety = SafetyFilter(body, FilterConfig(tracking_error=body.alpha * TRACKING[kind][1]))
+    safety = SafetyFilter(body)
     safety.observe(truth, 0.0)
     began = process_time()
-    q, status, shapes = drive(Drive(plant, kind, contacts=False), safety, PlantJudge(plant), rng, steps)  # pyright: ignore[reportArgumentType]
+    q, status, shapes = drive(SteppedPlant(plant, contacts=False), safety, PlantJudge(plant), rng, steps)
     spheres = verdicts(judge, q, truth)
     return {
         "steps": steps, "status": np.bincount(status, minlength=5).tolist(), "below": int(shapes.below),
@@ -91,7 +89,7 @@ def episode(kind: str, seed: int, steps: int = STEPS) -> Row:
 
 
 def drive(
-    robot: Drive, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
+    robot: SteppedPlant, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
 ) -> tuple[np.ndarray, np.ndarray, PlantJudge]:
     """The loop: sense, judge, filter at the measured state, act. True postures (steps, n) and statuses (steps,)."""
     n, kernel = safety.body.n, safety._kernel
@@ -121,11 +119,8 @@ def _aim(rows: list[Any], v_max: np.ndarray, rng: np.random.Generator) -> np.nda
 
 @cache
 def the_body(kind: str) -> tuple[Body, Judge]:
-    """The Panda with this drive's lag, fingers open, and the judge of its spheres."""
-    body = load_body("panda")
-    lag, error = TRACKING[kind]
-    tracking = Tracking(lag, body.alpha * error, f"{kind} drive of the plant")
-    body = msgspec.structs.replace(body, tracking=tracking)
+    """The Panda with what was identified of this drive, fingers open, and the judge of its spheres."""
+    body = load_body("panda").driven_by(kind)
     return body, judge_of(body, float(body.gripper.opening.value))
 
 
@@ -144,10 +139,10 @@ _HEAD = (
 
 
 def _cells(kind: str, t: Row) -> tuple[object, ...]:
-    lag, error = TRACKING[kind]
+    found = load_body("panda").driven_by(kind).tracking
     shares = " / ".join(f"{count / t['steps']:.2%}" for count in t["status"])
     return (
-        f"{kind} (lag {lag * 1e3:g} ms, e {error * 1e3:g} mrad)", f"{t['steps']:.3g}", t["below"],
+        f"{kind} (lag {found.lag * 1e3:g} ms, e {found.position_error * 1e3:g} mrad)", f"{t['steps']:.3g}", t["below"],
         f"{t['h_scene'] * 1e3:.2f} / {t['h_own'] * 1e3:.2f} mm", t["below_spheres"], f"{t['h_spheres'] * 1e3:.3f} mm",
         t["below_joints"], f"{t['h_joint'] * 1e3:.3f} mrad", shares, f"{t['us']:.0f}",
     )  # fmt: skip

@@ -16,7 +16,7 @@ PLACE_NOISE, SPEED_NOISE = 0.005, 0.02
 Q_NOISE, V_NOISE = 2e-4, 0.01
 """Error bounds of measured joints [rad, rad/s]."""
 LAG, POSITION_ERROR = 0.001, 0.0063
-"""The tracking model of the velocity actuators as identified: lag [s], leaky integral of the residual [rad]."""
+"""Lag [s] and leaky integral of the residual [rad] of the trials: what velocity actuators need, unloaded."""
 PUSH = ALPHA * POSITION_ERROR
 """The worst disturbance ydot − u within it, constant and against the nearest row [rad/s]."""
 STATE_LONGEST = 20

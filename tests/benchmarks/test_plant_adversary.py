@@ -8,10 +8,10 @@ from proofs.plant_judge import BEYOND, PlantJudge
 
 from dualbrain.embodiment.body import load_body
 from dualbrain.records import Box, Sphere
-from dualbrain.world.drive import Drive
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PREFIX
 from dualbrain.world.scene_spec import SceneSpec, Thing
+from dualbrain.world.stepped_plant import SteppedPlant
 
 
 def fixed(name, shape, position):
@@ -31,7 +31,7 @@ def brute(plant, judge):
 def test_a_blind_arm_is_caught_whenever_it_touches(crowded):
     """Unfiltered, contacts off: at every state the judge's count of negative states is brute force's."""
     plant = Plant(crowded, load_body("panda"))
-    robot, judge = Drive(plant, contacts=False), PlantJudge(plant)
+    robot, judge = SteppedPlant(plant, contacts=False), PlantJudge(plant)
     negative, u, wish = 0, np.zeros(7), np.array([0.5, 1.5, 0.0, 0.5, 0.0, 0.5, 0.0])
     for t in range(700):
         robot.sense()

@@ -138,5 +138,5 @@ def test_wrong_usage_is_2(tell, arguments):
 def test_help_lists_every_command(tell):
     code, out, _ = tell("--help")
     assert code == Exit.SUCCESS
-    for name in ("run", "demo", "schema", "check", "replay", "doctor", "models"):
+    for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot"):
         assert name in out

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import Body, load_body
+from dualbrain.embodiment.body import Body, Tracking, load_body
 from dualbrain.errors import UnknownName
 
 PANDA = load_body("panda")
@@ -63,3 +63,28 @@ def test_the_budget_of_spheres_is_kept_and_the_hand_is_covered_finely():
     assert sum(count.values()) <= 104
     assert count["hand"] >= 30
     assert count["left_finger"] == count["right_finger"] >= 8
+
+
+def test_every_identified_drive_says_how():
+    for tracking in (PANDA.tracking, *PANDA.other_drives):
+        assert f"dualbrain robot identify --robot panda --drive {tracking.drive}" in tracking.provenance
+        assert tracking.rate == pytest.approx(PANDA.alpha)
+        assert 0.0 <= tracking.lag < 0.01
+        assert 0.0 < tracking.position_error < 0.01
+
+
+def test_a_body_can_be_driven_otherwise_and_back():
+    other = PANDA.driven_by("velocity")
+    assert other.tracking == PANDA.other_drives[0]
+    assert other.driven_by(PANDA.tracking.drive) == PANDA
+    with pytest.raises(UnknownName, match="velocity"):
+        PANDA.driven_by("velocities")
+
+
+def test_an_entry_is_renewed_or_added():
+    renewed = Tracking(0.001, 0.002, 3.0, "test", PANDA.tracking.drive)
+    assert PANDA.tracked(renewed).tracking == renewed
+    assert PANDA.tracked(renewed).other_drives == PANDA.other_drives
+    added = Tracking(0.001, 0.002, 3.0, "test", "hydraulic")
+    assert PANDA.tracked(added).driven_by("hydraulic").tracking == added
+    assert PANDA.tracked(added).tracking == PANDA.tracking

@@ -86,10 +86,11 @@ def _latency() -> list[Finding]:
         start = time.perf_counter()
         safety.filter(state, state.v, 0.0)
         times.append((time.perf_counter() - start) * 1e6)
-    lag = f"lag {body.tracking.lag * 1e3:.0f} ms ± {body.tracking.velocity_error} rad/s"
+    tracking = body.tracking
+    lag = f"lag {tracking.lag * 1e3:.2f} ms, rows keep {tracking.budget(body.alpha):.4f} rad/s"
     return [
         Finding("filter step", True, f"{statistics.median(times):.1f} µs median, scene 0, from Python"),
-        Finding("tracking model", True, f"{body.name}: {lag} ({body.tracking.provenance})"),
+        Finding("tracking model", True, f"{body.name}: {lag} ({tracking.provenance})"),
     ]
 
 

@@ -25,6 +25,8 @@ app = App(
 )
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
+robot = App(name="robot", help="Robots: learn how one follows its commands.")
+app.command(robot)
 
 app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
 app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one command.")
@@ -34,6 +36,7 @@ app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a record
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
+robot.command("dualbrain.cli.robot_identify:identify", name="identify", help="Measure how well a drive follows.")
 
 
 def main() -> None:

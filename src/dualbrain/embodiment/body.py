@@ -83,11 +83,24 @@ class Gripper(msgspec.Struct, frozen=True):
 
 
 class Tracking(msgspec.Struct, frozen=True):
-    """How the arm follows a velocity command: first-order lag [s], bound of what it leaves unexplained [rad/s]."""
+    """How the joints follow a velocity command u: y = q + lag v obeys ẏ = u + r with |∫ exp(−α (t − s)) r ds| ≤ e.
+
+    `lag` [s]; `position_error` e of each joint [rad, of a prismatic one m]; `rate` α [1/s] at which e was identified;
+    `drive` names what was identified. Made by `dualbrain robot identify`, or from the maker's figures.
+    """
 
     lag: float
-    velocity_error: float
+    position_error: float
+    rate: float
     provenance: str
+    drive: str = ""
+
+    def budget(self, alpha: float) -> float:
+        """What a barrier row of gain `alpha` [1/s] must keep for e [rad/s]: α e, at any other rate a bound of it.
+
+        By parts, the leaky integral at rate a is at most e α/a where a < α, and e (2 − α/a) where a > α.
+        """
+        return self.position_error * (self.rate + 2.0 * max(0.0, alpha - self.rate))
 
 
 class SelfPairs(msgspec.Struct, frozen=True):
@@ -114,6 +127,7 @@ class Body(msgspec.Struct, frozen=True):
     period: float
     tool_speed: Bound
     base: Literal["fixed", "differential"] = "fixed"
+    other_drives: tuple[Tracking, ...] = ()
 
     @property
     def n(self) -> int:
@@ -125,6 +139,21 @@ class Body(msgspec.Struct, frozen=True):
         """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s]."""
         return min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
 
+    def driven_by(self, drive: str) -> Body:
+        """This body with the tracking model of another of its drives; raises `UnknownName` with the identified ones."""
+        known = {tracking.drive: tracking for tracking in (self.tracking, *self.other_drives)}
+        if drive not in known:
+            raise UnknownName("identified drive", drive, tuple(known), owner=f"body {self.name}")
+        others = tuple(tracking for name, tracking in known.items() if name != drive)
+        return msgspec.structs.replace(self, tracking=known[drive], other_drives=others)
+
+    def tracked(self, tracking: Tracking) -> Body:
+        """This body with the tracking model of one of its drives renewed, or added beside the others."""
+        if tracking.drive == self.tracking.drive:
+            return msgspec.structs.replace(self, tracking=tracking)
+        others = {other.drive: other for other in (*self.other_drives, tracking)}
+        return msgspec.structs.replace(self, other_drives=tuple(others.values()))
+
 
 @lru_cache
 def load_body(name: str) -> Body:
@@ -133,3 +162,8 @@ def load_body(name: str) -> Body:
         raise UnknownName("robot", name, BODIES)
     data = resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
     return msgspec.json.decode(data, type=Body)
+
+
+def encode(body: Body) -> bytes:
+    """The data file of `body`: indented JSON with a final newline."""
+    return msgspec.json.format(msgspec.json.encode(body), indent=1) + b"\n"

@@ -1,6 +1,7 @@
 """Makes a body's data file: fits its spheres to the collision meshes and sorts its link pairs.
 
 `python -m dualbrain.embodiment.generate panda --out FILE`; the same version and seed give the same file, byte for byte.
+How the joints track is identified on the plant (`dualbrain robot identify --write`) and taken over from the old file.
 """
 
 from __future__ import annotations
@@ -10,12 +11,11 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment import panda
-from dualbrain.embodiment.body import BODIES, Body, BodySphere, Vector
+from dualbrain.embodiment.body import BODIES, Body, BodySphere, Vector, encode, load_body
 from dualbrain.embodiment.meshes import collision_mesh
 from dualbrain.embodiment.self_pairs import choose_pairs
 from dualbrain.embodiment.sphere_cover import Balls, measure_excess
@@ -29,6 +29,7 @@ CONFIGURATIONS = 100_000
 
 def make_panda(seed: int, options: FitOptions, configurations: int, tell: Tell) -> Body:
     """The Panda with its hand: facts of panda.py, spheres fitted to the meshes, pairs chosen by sampling."""
+    known = load_body("panda")
     cover = fit_panda(seed, options, tell)
     joints, links = panda.joints(), panda.links()
     tell(f"self pairs: {configurations} random configurations")
@@ -45,9 +46,10 @@ def make_panda(seed: int, options: FitOptions, configurations: int, tell: Tell) 
         tool=panda.TOOL,
         gripper=panda.GRIPPER,
         home=panda.HOME,
-        tracking=panda.TRACKING,
+        tracking=known.tracking,
         period=panda.PERIOD,
         tool_speed=panda.TOOL_SPEED,
+        other_drives=known.other_drives,
     )
 
 
@@ -80,11 +82,6 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 
 
 MAKERS: dict[str, Callable[[int, FitOptions, int, Tell], Body]] = {"panda": make_panda}
-
-
-def encode(body: Body) -> bytes:
-    """The data file of `body`: indented JSON with a final newline."""
-    return msgspec.json.format(msgspec.json.encode(body), indent=1) + b"\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

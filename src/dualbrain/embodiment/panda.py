@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dualbrain.embodiment.body import Bound, Gripper, Joint, Link, Quaternion, Tool, Tracking, Vector
+from dualbrain.embodiment.body import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 from dualbrain.embodiment.cover_problem import LinkCover
 
 SOURCE = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
@@ -39,9 +39,6 @@ JERK = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
 HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
 PERIOD = 0.001
 TOOL_SPEED = Bound(0.4, "m/s", "site policy")
-TRACKING = Tracking(
-    0.002, 0.03, "MuJoCo plant from home: sine and bang-bang at half speed, largest residual of one common lag"
-)
 TOOL = Tool("hand", (0.0, 0.0, 0.1034))
 
 FINGER_LENGTH = 0.0538

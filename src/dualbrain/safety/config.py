@@ -15,9 +15,11 @@ class FilterConfig(msgspec.Struct, frozen=True):
     should differ. `recovery_speed` bounds how fast a violated row asks to be left. `sampling_margin` is what rows keep
     beyond h = 0 so that a step of finite length ends at h ≥ 0; `rounding_margin` covers float32 (in rad for joint
     limits). `self_margin` is the clearance between the robot's own parts, `projection_margin` what φ's projection keeps
-    beyond the filter. `tracking_error` bounds |ẏ − u| per joint [rad/s] beyond the body's lag. `stale_after` and
-    `state_stale_after` are the ages at which moving obstacles and the joint state are no longer believed. `jerk_limits`
-    adds the body's jerk limits to the box; where another limit leaves no room for them they yield (`Reason.JERK`).
+    beyond the filter. `tracking_error` [rad/s] is what rows keep for ẏ ≠ u, per joint, beyond the body's lag; None
+    takes what was identified on the body, α e (`Tracking.budget`; an obstacle's own gain above the filter's is not
+    counted). `stale_after` and `state_stale_after` are the ages at which moving obstacles and the joint state are no
+    longer believed. `jerk_limits` adds the body's jerk limits to the box; where another limit leaves no room for them
+    they yield (`Reason.JERK`).
     """
 
     alpha: float | None = None
@@ -28,7 +30,7 @@ class FilterConfig(msgspec.Struct, frozen=True):
     rounding_margin: float = 1e-5
     self_margin: float = 0.0
     projection_margin: float = 5e-4
-    tracking_error: float = 0.002
+    tracking_error: float | None = None
     stale_after: float = 0.5
     state_stale_after: float = 0.05
     acceleration_limits: bool = True

@@ -57,10 +57,18 @@ def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
         "rounding": config.rounding_margin,
         "self_margin": config.self_margin,
         "lag": body.tracking.lag if config.lag_compensation else 0.0,
-        "tracking": config.tracking_error,
+        "tracking": tracking_error(body, config),
         "state_age_max": config.state_stale_after,
         "scene_age_max": config.stale_after,
     }
+
+
+def tracking_error(body: Body, config: FilterConfig) -> float:
+    """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
+    if config.tracking_error is not None:
+        return config.tracking_error
+    gains = (config.alpha, config.alpha_self, config.alpha_joint)
+    return body.tracking.budget(max(_alpha(body, config, gain) for gain in gains))
 
 
 def _alpha(body: Body, config: FilterConfig, own: float | None) -> float:

@@ -12,47 +12,27 @@ y = q + lag v, so that max_k,t e_k is convex in the lag and the best lag is foun
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from math import ceil
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.body import Body, Tracking
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import HalfSpace, Pose
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.world.drive import DriveKind
+from dualbrain.world.excitation import EXCITATIONS, Drivable, Log, excite
+from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.world.stepped_plant import SteppedPlant
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 SAFETY_FACTOR = 1.25
 """On the largest e of all seeds, or on their mean plus two standard deviations, whichever is more."""
-LONGEST_LAG = 0.05
-EXCITATIONS = ("sines", "bang_bang", "rows")
-
-
-class Drivable(Protocol):
-    """What can be identified: `sense()` refreshes `q` and `v` (n,), `act(u)` drives for one control period."""
-
-    q: Array
-    v: Array
-
-    def sense(self) -> None:
-        """Measure."""
-        ...
-
-    def act(self, u: Array) -> None:
-        """Drive at u (n,) [rad/s]."""
-        ...
-
-
-class Log(msgspec.Struct, frozen=True, eq=False):
-    """Joint positions and velocities before each control period and the control sent in it, each (t, n)."""
-
-    q: Array
-    v: Array
-    u: Array
+LONGEST_LAG, SHORTEST = 0.05, 0.5
+"""Largest lag that is searched, shortest run that is of use [s]."""
 
 
 class TrackingModel(msgspec.Struct, frozen=True):
@@ -76,9 +56,38 @@ class TrackingModel(msgspec.Struct, frozen=True):
         """What the rows carry: α e [rad/s], `FilterConfig.tracking_error`."""
         return self.rate * self.position_error
 
+    def entry(self, drive: str, provenance: str) -> Tracking:
+        """What the body carries of it: lag to a microsecond, error rounded up to one of its own unit's millionths."""
+        return Tracking(round(self.lag, 6), ceil(self.position_error * 1e6) / 1e6, self.rate, provenance, drive)
+
+
+def identify_plant(
+    body: Body, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
+    seconds: float = 10.0, progress: Progress | None = None,
+) -> TrackingModel:  # fmt: skip
+    """The tracking model of the simulated `body` with empty hand and with `load` [kg] at the tool: it covers both.
+
+    Raises `InvalidSetup` for runs that are too short to say anything, no seeds, or a negative load.
+    """
+    if not seeds or seconds < SHORTEST or load < 0.0:
+        raise InvalidSetup(
+            "identification", got=f"{len(seeds)} seeds, {seconds:g} s, {load:g} kg",
+            allowed=f"at least one seed, at least {SHORTEST:g} s, a load of zero or more",
+        )  # fmt: skip
+    spec = SceneSpec(body.name, "identify", 0, (), ())
+
+    def make(kg: float) -> Callable[[], Drivable]:
+        return lambda: SteppedPlant(Plant(spec, body, drive=drive, load=kg), contacts=False)
+
+    loads = (0.0, load) if load > 0.0 else (0.0,)
+    said = f"{body.name}, {drive} drive, loads {', '.join(f'{kg:g}' for kg in loads)} kg"
+    return identify(
+        [make(kg) for kg in loads], body, seeds=seeds, seconds=seconds, said=said, progress=progress
+    )  # fmt: skip
+
 
 def identify(
-    make: Callable[[], Drivable],
+    plants: Sequence[Callable[[], Drivable]],
     body: Body,
     *,
     seeds: Sequence[int] = (0, 1, 2, 3),
@@ -87,20 +96,20 @@ def identify(
     said: str = "plant",
     progress: Progress | None = None,
 ) -> TrackingModel:
-    """The tracking model of the plant that `make` makes afresh, at rest, for every run.
+    """One tracking model for all `plants`, each made afresh, at rest, for every run.
 
     Each seed runs every excitation for `seconds`: sums of sines, bang-bang and full speed down the nearest barrier row,
     all through the filter, so that velocity, acceleration and joint limits are those of operation. `lag` [s] fixes the
     lag instead of choosing it. `progress` is told the share done and a word.
     """
+    steps, each = round(seconds / body.period), [(make, kind) for make in plants for kind in EXCITATIONS]
     logs: list[list[Log]] = []
-    total = len(seeds) * len(EXCITATIONS)
     for seed in seeds:
         runs: list[Log] = []
-        for kind in EXCITATIONS:
+        for make, kind in each:
             if progress is not None:
-                progress((len(logs) * len(EXCITATIONS) + len(runs)) / total, f"seed {seed}, {kind}")
-            runs.append(excite(make(), body, kind, round(seconds / body.period), np.random.default_rng(seed)))
+                progress((len(logs) * len(each) + len(runs)) / (len(seeds) * len(each)), f"seed {seed}, {kind}")
+            runs.append(excite(make(), body, kind, steps, np.random.default_rng(seed)))
         logs.append(runs)
     said = f"{said}: {len(seeds)} seeds x {', '.join(EXCITATIONS)} x {seconds:g} s at full speed"
     return fit(logs, body.alpha, body.period, lag=lag, said=said)
@@ -128,20 +137,6 @@ def leaky_error(log: Log, lag: float, rate: float, period: float) -> Array:
     """∫ exp(−α (t − s)) r(s) ds at the end of each period (t − 1, n) [rad], signed, for the residual of this lag."""
     a, b = _affine(log, rate, period)
     return a + lag * b
-
-
-def excite(plant: Drivable, body: Body, kind: str, steps: int, rng: np.random.Generator) -> Log:
-    """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
-    safety = SafetyFilter(body, FilterConfig())
-    safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)))], 0.0)
-    wish = _WISHES[kind](body, rng)
-    q, v, u = (np.empty((steps, body.n)) for _ in range(3))
-    for t in range(steps):
-        plant.sense()
-        q[t], v[t] = plant.q, plant.v
-        u[t] = safety(q[t], v[t], wish(t, safety)).u
-        plant.act(u[t])
-    return Log(q, v, u)
 
 
 def _residual(log: Log, lag: float, period: float) -> Array:
@@ -178,53 +173,3 @@ def _best_lag(parts: Iterable[tuple[Array, Array]]) -> float:
 
 def _worst(parts: Iterable[tuple[Array, Array]], lag: float) -> float:
     return max(float(np.abs(a + lag * b).max()) for a, b in parts)
-
-
-# --- excitations: a wish (n,) for period t ------------------------------------------------------------------------
-
-Wish = Callable[[int, SafetyFilter], Array]
-
-
-def _sines(body: Body, rng: np.random.Generator) -> Wish:
-    """Three sines a joint between 0.1 and 3 Hz, together at most the velocity limit."""
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    pace = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.1), np.log(3.0), (3, body.n)))
-    phase, share = rng.uniform(0.0, 2.0 * np.pi, (3, body.n)), rng.dirichlet(np.ones(3), body.n).T
-    return lambda t, _: v_max * np.sum(share * np.sin(pace * (t * body.period) + phase), axis=0)
-
-
-def _bang_bang(body: Body, rng: np.random.Generator) -> Wish:
-    """Full speed of every joint either way, changed after 0.15 to 1 s."""
-    return _held(body, rng, lambda _: None)
-
-
-def _rows(body: Body, rng: np.random.Generator) -> Wish:
-    """Full speed down the row with the smallest h."""
-    return _held(body, rng, _nearest)
-
-
-def _held(body: Body, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]) -> Wish:
-    v_max = np.array([joint.velocity.value for joint in body.joints])
-    until, now = 0, np.zeros(body.n)
-
-    def wish(t: int, safety: SafetyFilter) -> Array:
-        nonlocal until, now
-        if t >= until:
-            coins, row = np.where(rng.random(body.n) < 0.5, -1.0, 1.0), aim(safety)
-            signs = coins if row is None or rng.random() < 0.1 else np.where(row > 0.0, -1.0, 1.0)
-            until, now = t + int(rng.integers(150, 1000)), signs * v_max
-        return now
-
-    return wish
-
-
-def _nearest(safety: SafetyFilter) -> Array | None:
-    rows: list[Any] = safety._kernel.rows()  # pyright: ignore[reportPrivateUsage]
-    return np.array(min(rows, key=lambda row: row[3])[6]) if rows else None
-
-
-_WISHES: dict[str, Callable[[Body, np.random.Generator], Wish]] = {
-    "sines": _sines,
-    "bang_bang": _bang_bang,
-    "rows": _rows,
-}

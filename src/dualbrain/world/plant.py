@@ -1,9 +1,9 @@
 """The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
 
-One `advance()` is one control period of 1 ms. Joint velocity goes straight to MuJoCo's velocity actuators,
-torque-limited by `forcerange`; the gripper's force limit F is set with each command (the two fingers share one servo
-of 2 F). When the drive is disabled the motors lose torque and gravity compensation, and dry-friction brakes hold each
-joint.
+One `advance()` is one control period of 1 ms: `sense()` makes everything current, `act()` drives. A drive (`drive.py`)
+turns the commanded joint velocity into motor torque within `forcerange`; the gripper's force limit F is set with each
+command (the two fingers share one servo of 2 F). When the drive is disabled the motors lose torque and gravity
+compensation, and dry-friction brakes hold each joint.
 """
 
 # MuJoCo ships no type stubs:
@@ -20,12 +20,12 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Array, Command, RobotState
 from dualbrain.errors import UnknownName
 from dualbrain.records import Pose
+from dualbrain.world.drive import ARM_GROUP, DriveKind, make_drive
 from dualbrain.world.model_provider import robot_model
 from dualbrain.world.mover import DAMPING, STIFFNESS, path_of
-from dualbrain.world.scene_builder import PERIOD, PREFIX, build_model
+from dualbrain.world.scene_builder import LOAD, PERIOD, PREFIX, build_model
 from dualbrain.world.scene_spec import SceneSpec
 
-ARM_GROUP = 1
 BRAKE_TORQUE = (120.0, 120.0, 120.0, 120.0, 30.0, 30.0, 30.0)  # [Nm] holding torque, above the motors' own limits
 BRAKE_SOLREF, BRAKE_SOLIMP = (2.0 * PERIOD, 1.0), (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # hard enough not to creep
 FINGER_SPEED = 0.05  # [m/s each], data sheet of the hand
@@ -42,21 +42,27 @@ class Plant:
         spec: SceneSpec,
         body: Body,
         *,
+        drive: DriveKind = "computed_torque",
+        load: float = 0.0,
         visuals: bool = False,
         model_file: Path | None = None,
         menagerie: Path | None = None,
     ) -> None:
         """Build the scene with the arm at `body.home`, drive enabled, fingers open.
 
+        `load` [kg] is fixed at the tool without anybody being told: how well the drive bears what it does not know.
         `visuals` adds the robot's surface meshes where the package is installed (no change in physics); `model_file`
         and `menagerie` name other robot models (see `model_provider.robot_model`).
         """
         self.spec, self.body = spec, body
         robot = robot_model(spec.robot, path=model_file, menagerie=menagerie, visuals=visuals)
         self.model_source, self.has_visuals = robot.source, robot.has_visuals
-        self.model = build_model(spec, robot)
+        self.model = build_model(spec, robot, load=load)
         self.data = mujoco.MjData(self.model)
         self._index()
+        self._load = self.model.joint(LOAD).qposadr[0] if load > 0.0 else None
+        self.drive = make_drive(drive, self.model, self.data)
+        self._u = np.zeros(body.n)
         self._path = path_of(spec.mover) if spec.mover is not None else None
         self._sequence, self._enabled, self._wanted = 0, True, float(body.gripper.opening.value)
         self._set_force(float(body.gripper.force_min.value))
@@ -78,7 +84,7 @@ class Plant:
         """Hold `command` until the next one; ignored while the drive is disabled."""
         if not self._enabled:
             return
-        self.data.ctrl[self._drives] = command.u
+        self._u[:] = command.u
         self._wanted = command.opening
         if command.force != self._force:
             self._set_force(command.force)
@@ -86,7 +92,7 @@ class Plant:
     def stop(self) -> None:
         """Cut the arm's motors and engage the brakes until `enable`; the gripper keeps its last set point and force."""
         self._enabled = False
-        self.data.ctrl[self._drives] = 0.0
+        self._forget()
         self.model.opt.disableactuator |= 1 << ARM_GROUP
         self.model.dof_frictionloss[self._dof] = BRAKE_TORQUE
         self.model.body_gravcomp[self._moving] = 0.0
@@ -94,7 +100,7 @@ class Plant:
     def enable(self) -> None:
         """Release the brakes with a velocity command of zero."""
         self._enabled = True
-        self.data.ctrl[self._drives] = 0.0
+        self._forget()
         self.model.opt.disableactuator &= ~(1 << ARM_GROUP)
         self.model.dof_frictionloss[self._dof] = 0.0
         self.model.body_gravcomp[self._moving] = 1.0
@@ -102,8 +108,19 @@ class Plant:
     # --- the world ----------------------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """One control period: fingers and forearm get their set points, then physics."""
+        """One control period."""
+        self.sense()
+        self.act()
+
+    def sense(self) -> None:
+        """Make poses, inertia and bias those of the state now."""
+        mujoco.mj_step1(self.model, self.data)
+
+    def act(self) -> None:
+        """Motors, fingers and forearm get their set points, then time passes by one period; after `sense`."""
         data = self.data
+        if self._enabled:
+            self.drive.act(self._u)
         opening = self._opening()
         step = self._wanted - self._finger
         limit = FINGER_SPEED * PERIOD
@@ -115,7 +132,7 @@ class Plant:
             data.ctrl[self._mover_drives] = (
                 distance + rate * DAMPING / STIFFNESS - self._mover_zero
             ) * self._path.direction
-        mujoco.mj_step(self.model, data)
+        mujoco.mj_step2(self.model, data)
 
     @property
     def now(self) -> float:
@@ -170,6 +187,9 @@ class Plant:
         data.qpos[self._fingers], data.qvel[self._finger_dofs] = self._finger, 0.0
         data.ctrl[self._grip] = self._finger
         mujoco.mj_forward(self.model, data)
+        if self._load is not None:
+            self._take_up(self._load)
+        self._forget()
 
     # --- inside -------------------------------------------------------------------------------------------------
 
@@ -182,8 +202,6 @@ class Plant:
         self._dof = slice(int(arm[0].dofadr[0]), int(arm[-1].dofadr[0]) + 1)
         self.model.dof_solref[self._dof], self.model.dof_solimp[self._dof] = BRAKE_SOLREF, BRAKE_SOLIMP
         self._finger_dofs = slice(int(fingers[0].dofadr[0]), int(fingers[1].dofadr[0]) + 1)
-        drives = [int(model.actuator(f"{PREFIX}actuator{index + 1}").id) for index in range(n)]
-        self._drives = slice(drives[0], drives[-1] + 1)
         self._grip = int(model.actuator(f"{PREFIX}gripper").id)
         touch = [int(model.sensor(f"{PREFIX}{side}_touch").adr[0]) for side in ("left", "right")]
         self._touch = slice(touch[0], touch[1] + 1)
@@ -193,6 +211,18 @@ class Plant:
             ids = [int(model.actuator(f"{self.spec.mover.name}_{axis}").id) for axis in "xyz"]
             self._mover_drives = slice(ids[0], ids[-1] + 1)
             self._mover_zero, _ = path_of(self.spec.mover).at(0.0)
+
+    def _forget(self) -> None:
+        """No velocity is wanted, no torque remembered."""
+        self._u[:] = 0.0
+        self.drive.reset()
+
+    def _take_up(self, at: int) -> None:
+        """Put the load where the tool is."""
+        position, rotation = self.tool_pose()
+        self.data.qpos[at : at + 3] = position
+        mujoco.mju_mat2Quat(self.data.qpos[at + 3 : at + 7], rotation.ravel())
+        mujoco.mj_forward(self.model, self.data)
 
     def _opening(self) -> float:
         left, right = self.data.qpos[self._fingers].tolist()

@@ -24,12 +24,17 @@ PREFIX = "robot/"
 TABLE_THICKNESS = 0.04
 FLOOR = -0.74
 BOWL_STAVES = 20
+LOAD, LOAD_DENSITY = "load", 3000.0
+"""Name and density [kg/m³] of a cube that is fixed at the tool."""
 
 _GEOM = mujoco.mjtGeom
 
 
-def build_model(spec: SceneSpec, robot: RobotModel) -> mujoco.MjModel:
-    """Compile the scene with the robot at the origin. The robot's spec is consumed: hand in a fresh one."""
+def build_model(spec: SceneSpec, robot: RobotModel, *, load: float = 0.0) -> mujoco.MjModel:
+    """Compile the scene with the robot at the origin. The robot's spec is consumed: hand in a fresh one.
+
+    `load` [kg] is welded to the site `tcp`: a body of its own, so that it is in no inertia of the arm's.
+    """
     root = mujoco.MjSpec()
     root.modelname = f"{spec.family}_{spec.seed}"
     _options(root)
@@ -41,7 +46,24 @@ def build_model(spec: SceneSpec, robot: RobotModel) -> mujoco.MjModel:
         add_mover(root, spec.mover)
     frame = root.worldbody.add_frame()
     frame.attach_body(robot.spec.body("link0"), PREFIX, "")
+    if load > 0.0:
+        _add_load(root, load)
     return root.compile()
+
+
+def _add_load(root: mujoco.MjSpec, mass: float) -> None:
+    body = root.worldbody.add_body(name=LOAD)
+    body.add_freejoint(name=LOAD)
+    half = 0.5 * (mass / LOAD_DENSITY) ** (1.0 / 3.0)
+    body.add_geom(
+        name=LOAD, type=_GEOM.mjGEOM_BOX, size=[half] * 3, mass=mass, group=3, contype=0, conaffinity=0,
+        rgba=colour_of("grey"),
+    )  # fmt: skip
+    body.add_site(name=LOAD)
+    root.add_equality(
+        name=LOAD, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=f"{PREFIX}tcp", name2=LOAD,
+        solref=[2.0 * PERIOD, 1.0], solimp=[0.99, 0.999, 1e-3, 0.5, 2.0],
+    )  # fmt: skip
 
 
 def _options(root: mujoco.MjSpec) -> None:

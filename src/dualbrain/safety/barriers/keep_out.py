@@ -36,7 +36,7 @@ def trial_base() -> Body:
     return differential_base(
         "trolley", discs, speed=Bound(0.8, "m/s", by_hand), turn=Bound(2.0, "rad/s", by_hand),
         acceleration=Bound(1.6, "m/s^2", by_hand), turn_acceleration=Bound(6.0, "rad/s^2", by_hand),
-        tracking=Tracking(0.0, 0.0, by_hand),
+        tracking=Tracking(0.0, 0.0, 0.0, by_hand),
     )  # fmt: skip
 
 

@@ -1,0 +1,60 @@
+"""dualbrain robot identify: the figures, the data file they go into, and what is refused."""
+
+import json
+
+import msgspec
+import pytest
+
+from dualbrain.cli.exits import Exit
+from dualbrain.embodiment.body import Body, encode, load_body
+from dualbrain.safety.config import FilterConfig
+from dualbrain.safety.native import tracking_error
+
+PANDA = load_body("panda")
+SHORT = ("--seeds", 1, "--seconds", 0.5)
+
+
+def test_it_tells_the_model_and_what_to_do_with_it(tell):
+    code, out, _ = tell("robot", "identify", *SHORT, "--load", 0.3)
+    assert code == Exit.SUCCESS
+    for word in ("lag", "position error", "rows keep", "carried so far", "--write"):
+        assert word in out
+
+
+def test_json_and_a_new_data_file(tell, tmp_path):
+    code, out, err = tell("robot", "identify", *SHORT, "--drive", "velocity", "--json", "--write", "body.json")
+    assert code == Exit.SUCCESS
+    entry = json.loads(out)["entry"]
+    assert "body.json" in err
+    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=Body)
+    assert msgspec.to_builtins(body.driven_by("velocity").tracking) == entry
+    assert body.tracking == PANDA.tracking, "the other drive is left alone"
+    assert "--drive velocity --seeds 1 --seconds 0.5 --load 0.5" in entry["provenance"]
+    assert encode(body) == (tmp_path / "body.json").read_bytes()
+
+
+def test_what_is_written_enters_the_rows(tell, tmp_path):
+    (tmp_path / "body.json").write_bytes(encode(PANDA))
+    tell("robot", "identify", *SHORT, "--load", 1, "--write", "body.json")
+    body = msgspec.json.decode((tmp_path / "body.json").read_bytes(), type=Body)
+    assert body.tracking != PANDA.tracking
+    assert tracking_error(body, FilterConfig()) == pytest.approx(body.alpha * body.tracking.position_error)
+    assert tracking_error(body, FilterConfig(alpha=10.0)) > 10.0 * body.tracking.position_error
+    assert tracking_error(body, FilterConfig(tracking_error=0.5)) == 0.5
+
+
+@pytest.mark.parametrize("bad", [
+    ("--drive", "magnetic"), ("--robot", "pandas"), ("--seeds", 0), ("--seconds", 0.01), ("--load", -1),
+])  # fmt: skip
+def test_refusals_are_one_line(tell, bad):
+    code, out, err = tell("robot", "identify", *bad)
+    assert (code, out) == (Exit.SETUP, "")
+    assert "Traceback" not in err
+
+
+def test_a_file_that_is_no_body_is_left_alone(tell, tmp_path):
+    (tmp_path / "body.json").write_text("{}")
+    code, _, err = tell("robot", "identify", *SHORT, "--write", "body.json")
+    assert code == Exit.SETUP
+    assert "body data file" in err
+    assert (tmp_path / "body.json").read_text() == "{}"
