@@ -13,7 +13,8 @@ from scipy.stats import rankdata
 from proofs.closed_loop import succeeded
 from proofs.proof import Row
 
-FAMILIES = ("tall", "shelf", "forearm")
+FAMILIES = ("tall_ii", "shelf_ii", "forearm_ii")
+"""Families of level II: in those of level I an arm that looks ahead succeeds with nearly every contract."""
 FLOOR = 1e-4
 """Δ below this counts as this: a ratio to zero says nothing."""
 FAILED = float("inf")
@@ -112,6 +113,8 @@ class Learnable:
     best_fixed: str
     regret_success: float
     regret_delta: float
+    decline: list[int]
+    """Seeds whose scene no contract of the grid solves: a planner should decline there."""
 
     @property
     def parts(self) -> dict[str, bool]:
@@ -122,6 +125,11 @@ class Learnable:
             "success varies": 0 < self.successes < self.episodes,
             "regret": self.regret_success > 0.0 or self.regret_delta > 0.0,
         }
+
+    @property
+    def decline_words(self) -> str:
+        """Which scenes are to be declined."""
+        return ", ".join(f"{self.family}:{seed}" for seed in self.decline) or "none"
 
     @property
     def words(self) -> str:
@@ -169,6 +177,7 @@ def verdicts(rows: Iterable[Row]) -> list[Learnable]:
         values = [value for line in scores.values() for value in line.values()]
         good = sum(value < FAILED for value in values)
         contracts = len({name for line in scores.values() for name in line})
+        lost = [seed for seed, line in scores.items() if min(line.values()) == FAILED]
         figures = (ratios(scores), spearmans(scores), again.get((family, speed), []), *regret(scores))
-        found.append(Learnable(family, speed, len(scores), contracts, len(values), good, *figures))
+        found.append(Learnable(family, speed, len(scores), contracts, len(values), good, *figures, lost))
     return found

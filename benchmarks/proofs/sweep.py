@@ -1,4 +1,4 @@
-"""sweep: many valid contracts for one instruction in three hazardous families; does the contract matter?"""
+"""sweep: many valid contracts for one instruction in three hazardous families of level II; does the contract matter?"""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from proofs.figures import share, table
 from proofs.learnable import FAMILIES, verdicts
 from proofs.proof import Options, Row, Unit
 
-SEEDS = range(3)
-AGAIN = range(2)
-"""Scenes that are flown a second time with other perception noise: do the rankings repeat?"""
+SEEDS = (*((seed, False) for seed in range(3)), *((seed, True) for seed in range(2)),
+         *((seed, False) for seed in range(3, 6)), (2, True))  # fmt: skip
+"""Seeds of scenes, and whether one is flown again with other perception noise (do the rankings repeat?)."""
 OTHER_NOISE = 100
 SPEEDS = (0.2, 0.4, 0.1)
 """Most telling first: the bar is stated at fixed speed, and 0.2 m/s is the ordinary one."""
-GRID = {
-    "clearance": (0.08, 0.15, 0.30), "finger_axis": ("along", "across"), "route": ("direct", "near_base"),
-    "approach": ("top", "tilted"),
+COMMON = {"clearance": (0.08, 0.15, 0.30), "finger_axis": ("along", "across"), "route": ("direct", "near_base")}
+LEVER = {
+    "tall_ii": {"opening": (0.055, 0.08)}, "shelf_ii": {"approach": ("top", "tilted")},
+    "forearm_ii": {"wait": ("none", "until_clear")},
 }  # fmt: skip
-"""24 contracts a speed; opening 0.08 m, no waiting, 20 N."""
+"""24 contracts a family and speed: what all share, and the lever that its hazard is about; the rest as in `GRASP`."""
 
 
 class Sweep:
@@ -29,18 +30,20 @@ class Sweep:
 
     name = "sweep"
     claim = (
-        "In three hazardous families, at fixed speed: worst and best Δ of successes differ threefold, rankings repeat "
-        "under other noise (Spearman ≥ 0.5), success varies, and the best fixed contract has regret."
+        "In three hazardous families of level II, at fixed speed: worst and best Δ of successes differ threefold, "
+        "rankings repeat under other noise (Spearman ≥ 0.5), success varies, and the best fixed contract has regret."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """Speed by speed, seed by seed, every family in turn."""
+        """Speed by speed, seed by seed, every family in turn.
+
+        A speed is 648 units; its first 360 are three scenes a family, two of them flown again.
+        """
         del options
-        grid = [dict(zip(GRID, values, strict=True)) for values in product(*GRID.values())]
         return [
-            self._unit(family, seed, speed, values, again=again)
-            for speed in SPEEDS for again, seeds in ((False, SEEDS), (True, AGAIN)) for seed in seeds
-            for values in grid for family in FAMILIES
+            self._unit(family, seed, speed, contract, again=again)
+            for speed in SPEEDS for seed, again in SEEDS for contracts in zip(*map(grid, FAMILIES), strict=True)
+            for family, contract in zip(FAMILIES, contracts, strict=True)
         ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
@@ -58,10 +61,10 @@ class Sweep:
         """Success by family and speed, the four parts of the bar, every violation that must not be."""
         lines = table(
             ("family", "speed", "seeds", "contracts", "succeeded", "worst/best Δ", "Spearman, other noise",
-             "Spearman, other scene", "regret of the best fixed", "bar"),
+             "Spearman, other scene", "regret of the best fixed", "decline scenes", "bar"),
             (
                 (v.family, v.speed, v.seeds, v.contracts, share(v.successes, v.episodes), v.ratio_words, v.rank_words,
-                 v.across_words, v.regret_words, v.words)
+                 v.across_words, v.regret_words, v.decline_words, v.words)
                 for v in verdicts(rows)
             ),
         )  # fmt: skip
@@ -79,3 +82,9 @@ class Sweep:
         key = " ".join(str(value) for value in parameters.values())
         about = {"family": family, "seed": seed, "parameters": parameters, "again": again}
         return Unit(f"{family}:{seed} {key}" + (" again" if again else ""), about)
+
+
+def grid(family: str) -> list[dict[str, Any]]:
+    """The contracts that are flown in a family, without their speed."""
+    levers = {**COMMON, **LEVER[family]}
+    return [dict(zip(levers, values, strict=True)) for values in product(*levers.values())]

@@ -9,7 +9,7 @@ from scipy.stats import spearmanr
 values = st.one_of(st.floats(FLOOR, 0.5), st.just(FAILED))
 
 
-def row(seed, name, Delta, *, good=True, family="tall", speed=0.2, valid=True, again=False):
+def row(seed, name, Delta, *, good=True, family="tall_ii", speed=0.2, valid=True, again=False):
     return {
         "family": family, "seed": seed, "parameters": {"speed": speed, "route": name}, "valid": valid, "Delta": Delta,
         "outcome": "succeeded" if good else "taken_over", "truth": good, "again": again,
@@ -39,7 +39,7 @@ def test_no_contract_has_less_regret_than_none_and_one_seed_has_none(lines):
 
 def test_failures_rank_worst_and_small_interventions_count_as_the_floor():
     rows = [row(0, "a", 0.0), row(0, "b", 3e-4), row(0, "c", 0.0, good=False), row(0, "d", 0.0, valid=False)]
-    scores = families(rows)["tall", 0.2]
+    scores = families(rows)["tall_ii", 0.2]
     assert scores == {0: {"a": FLOOR, "b": 3e-4, "c": FAILED}}
     assert ratios(scores) == [pytest.approx(3.0)]
 
@@ -70,3 +70,10 @@ def test_a_family_without_any_success_says_so():
     (lost,) = verdicts([row(seed, name, 0.0, good=False) for seed in (0, 1) for name in "ab"])
     assert lost.words == "missed: threefold, repeats, success varies, regret"
     assert lost.regret_words == "no contract succeeds"
+    assert lost.decline_words == "tall_ii:0, tall_ii:1"
+
+
+def test_only_scenes_that_no_contract_solves_are_declined():
+    good, hopeless = [row(0, name, 0.0, good=name == "a") for name in "ab"], [row(1, "a", 0.0, good=False)]
+    assert [verdict.decline for verdict in verdicts(good)] == [[]]
+    assert [verdict.decline for verdict in verdicts([*good, *hopeless])] == [[1]]

@@ -4,6 +4,7 @@ import pytest
 from proofs.bare import Bare
 from proofs.catalogue import PROOFS
 from proofs.closed_loop import kinds, succeeded
+from proofs.learnable import FAMILIES
 from proofs.picks import Picks, choices
 from proofs.proof import Options
 from proofs.runs import Contrast, Retold, Runs
@@ -27,8 +28,12 @@ def test_sizes(tmp_path):
     assert len(Runs().units(options)) == 60
     assert len(Picks().units(options)) == 40
     assert Contrast().units(options) == []
-    per_scene = [unit for unit in Sweep().units(options) if unit.about["seed"] == 0 and unit.about["family"] == "tall"]
-    assert len([unit for unit in per_scene if unit.about["parameters"]["speed"] == 0.2]) >= 24
+    abouts = [unit.about for unit in Sweep().units(options)]
+    for family in FAMILIES:
+        flown = [
+            one["parameters"] for one in abouts if (one["family"], one["seed"], one["again"]) == (family, 0, False)
+        ]
+        assert len([contract for contract in flown if contract["speed"] == 0.2]) >= 24
 
 
 def test_what_is_picked_stands_free_and_differs():

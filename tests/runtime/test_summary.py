@@ -12,7 +12,7 @@ from dualbrain.records import Pose
 from dualbrain.runtime.desk import as_specified
 from dualbrain.runtime.summary import summarise
 from dualbrain.world.catalogue import open_scene
-from dualbrain.world.scenes import FAMILIES
+from dualbrain.world.scenes import ALL_FAMILIES
 
 from .scenes import bowl, box, forearm, rotated, scene
 
@@ -59,7 +59,7 @@ def test_moving_the_whole_scene_a_little_changes_nothing(shift, seed):
     assert summarise(one) == summarise(other)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", ALL_FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_symbols_only(family, seed):
     """Whatever is measured is told as a class: the only digits are those of class names and of names."""
@@ -68,7 +68,7 @@ def test_symbols_only(family, seed):
     assert not re.search(r"\d", bare), text
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", ALL_FAMILIES)
 def test_it_depends_only_on_what_is_perceived(family):
     one = as_specified(open_scene(f"{family}:1"))
     things = tuple(

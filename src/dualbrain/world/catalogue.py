@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.scene_spec import SceneSpec, load_scene
-from dualbrain.world.scenes import FAMILIES, make_scene
+from dualbrain.world.scenes import ALL_FAMILIES, make_scene
 
 HAZARDS = ("forearm", "tabletop", "tall", "shelf")
 """Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
@@ -17,12 +17,13 @@ def open_scene(choice: str) -> SceneSpec:
     if choice.isdecimal():
         return make_scene(HAZARDS[int(choice) % len(HAZARDS)], int(choice))
     family, _, seed = choice.partition(":")
-    if family in FAMILIES and (seed.isdecimal() or not seed):
+    if family in ALL_FAMILIES and (seed.isdecimal() or not seed):
         return make_scene(family, int(seed or 0))
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
         return load_scene(path)
     if choice.replace(":", "").replace("_", "").isalnum():
-        raise UnknownName("scene", family, tuple(FAMILIES), owner="the catalogue (a number or a scene file also works)")
-    allowed = f"a number, FAMILY:SEED with one of {', '.join(FAMILIES)}, or a scene file (.json)"
+        owner = "the catalogue (a number or a scene file also works)"
+        raise UnknownName("scene", family, tuple(ALL_FAMILIES), owner=owner)
+    allowed = f"a number, FAMILY:SEED with one of {', '.join(ALL_FAMILIES)}, or a scene file (.json)"
     raise InvalidSetup("scene", got=choice, allowed=allowed)
