@@ -109,6 +109,18 @@ def test_an_obstacle_that_vanishes_costs_a_bounded_step():
     assert np.abs(p.read().v).max() < 1e-3
 
 
+def test_a_saturated_motor_winds_nothing_up():
+    """A step that the last motor cannot follow: its joint arrives without passing the command."""
+    p, u = plant(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
+    fastest, saturated, motors = 0.0, False, motors_of(p.model)[0]
+    for _ in range(250):
+        drive_at(p, u, PERIOD)
+        fastest = max(fastest, p.read().v[6])
+        saturated |= bool(np.any(np.abs(p.data.ctrl[motors]) > p.model.actuator_forcerange[motors, 1]))
+    assert saturated
+    assert fastest == pytest.approx(2.5, rel=1e-2)
+
+
 @pytest.mark.parametrize("how", ["stop", "place"])
 def test_no_torque_is_remembered(how):
     p = plant(load=1.0)

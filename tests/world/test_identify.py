@@ -121,6 +121,12 @@ def test_the_default_drive_keeps_what_its_body_says():
     assert [share for share, _ in told] == pytest.approx(np.arange(6) / 6)
 
 
+def test_the_load_is_what_the_default_drive_errs_by():
+    empty, loaded = (identify_plant(PANDA, seeds=(0,), seconds=0.5, load=kg) for kg in (0.0, 1.0))
+    assert empty.position_error < 5e-6
+    assert loaded.position_error > 1e-4
+
+
 def test_velocity_actuators_need_more_and_less_lag():
     found, known = identify_plant(PANDA, "velocity", seeds=(0,), seconds=1.0), PANDA.driven_by("velocity").tracking
     assert 0.0 <= found.lag < 0.004
