@@ -21,6 +21,13 @@ def test_it_tells_the_model_and_what_to_do_with_it(tell):
         assert word in out
 
 
+def test_the_help_says_what_it_is_for(tell):
+    assert "how well one follows" in tell("robot", "--help")[1]
+    out = tell("robot", "identify", "--help")[1]
+    for word in ("y = q + lag v", "leaky integral", "--load", "FilterConfig(tracking_error=...)"):
+        assert word in " ".join(out.split())
+
+
 def test_json_and_a_new_data_file(tell, tmp_path):
     code, out, err = tell("robot", "identify", *SHORT, "--drive", "velocity", "--json", "--write", "body.json")
     assert code == Exit.SUCCESS

@@ -25,7 +25,7 @@ app = App(
 )
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
-robot = App(name="robot", help="Robots: learn how one follows its commands.")
+robot = App(name="robot", help="Robots: `identify` measures how well one follows its commands.")
 app.command(robot)
 
 app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
@@ -36,7 +36,7 @@ app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a record
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
-robot.command("dualbrain.cli.robot_identify:identify", name="identify", help="Measure how well a drive follows.")
+robot.command("dualbrain.cli.robot_identify:identify", name="identify")
 
 
 def main() -> None:
