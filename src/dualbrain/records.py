@@ -160,11 +160,32 @@ class Exemplar(Record, frozen=True):
     parts: dict[str, float] = {}
 
 
+class Passage(Record, frozen=True):
+    """A quotation that the planner was shown: where it stands, how far its source is trusted, what was shown of it.
+
+    `citation` names document, version and offsets; `likeness` is the cosine of question and passage; `rank` counts
+    from 1.
+    """
+
+    citation: str
+    kind: str
+    trust: str
+    title: str
+    text: str
+    likeness: float
+    score: float
+    rank: int
+
+
 class Recall(Record, frozen=True):
-    """What memory returns for one query: `exemplars` to follow, `warnings` (failures, rejections) to avoid."""
+    """What the planner is reminded of: `exemplars` to follow, `warnings` (failures, rejections) to avoid, `passages`.
+
+    The first two come from memory, the passages from documents.
+    """
 
     exemplars: tuple[Exemplar, ...] = ()
     warnings: tuple[Exemplar, ...] = ()
+    passages: tuple[Passage, ...] = ()
 
 
 class Proposal(Record, frozen=True):

@@ -20,7 +20,10 @@ gives no places, no regions and no templates."""
 
 
 class Document(msgspec.Struct, frozen=True):
-    """One version of a document, as it was added at `added` [s, 1970 UTC] from a file called `file`."""
+    """One version of a document, as it was added at `added` [s, 1970 UTC] from a file called `file`.
+
+    `bodies` are the robots it is about, none: it holds for all.
+    """
 
     name: str
     version: str
@@ -34,6 +37,7 @@ class Document(msgspec.Struct, frozen=True):
     characters: int
     chunks: int
     hidden: tuple[Hidden, ...] = ()
+    bodies: tuple[str, ...] = ()
 
 
 class Hit(msgspec.Struct, frozen=True):

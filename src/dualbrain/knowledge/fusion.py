@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+SHARE = 0.7
+"""Share of meaning in the fused score; docs/knowledge.md has the measurement."""
 RANK_OFFSET = 60
 """k of reciprocal rank fusion: how little the very first ranks stand out."""
 
@@ -20,7 +22,7 @@ def reciprocal_ranks(rankings: Sequence[Iterable[int]], k: int = RANK_OFFSET) ->
     return scores
 
 
-def normalised(words: Mapping[int, float], meaning: Mapping[int, float], share: float = 0.5) -> dict[int, float]:
+def normalised(words: Mapping[int, float], meaning: Mapping[int, float], share: float = SHARE) -> dict[int, float]:
     """score(d) = (1 − share) bm25(d)/max bm25 + share max(0, cos(d)): absolute in meaning, relative in words."""
     best = max(words.values(), default=0.0)
     return {

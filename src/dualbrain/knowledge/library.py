@@ -45,6 +45,7 @@ class Submission:
     name: str = ""
     kind: Kind | None = None
     title: str = ""
+    bodies: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +125,12 @@ class Library:
         return tuple((cited(one), one.text) for one in self._chunks.values() if one.document.name == name)
 
     def search(
-        self, query: str, k: int = 5, *, by: By = "both", kinds: Sequence[Kind] = KINDS, least: Trust = "unknown"
-    ) -> tuple[Hit, ...]:
+        self, query: str, k: int = 5, *, by: By = "both", kinds: Sequence[Kind] = KINDS, least: Trust = "unknown",
+        body: str = "",
+    ) -> tuple[Hit, ...]:  # fmt: skip
         """The k best chunks of these `kinds`, trusted at least as much as `least`, best first; ties by document order.
+
+        With `body`, documents about other robots are left out.
 
         "both" fuses the ranking by words and by meaning (see `fusion`). The score is multiplied by what the source's
         trust is worth. Raises `InvalidSetup` when meaning is asked for and there is no encoder or no vector.
@@ -134,13 +138,15 @@ class Library:
         allowed = {
             number
             for number, one in self._chunks.items()
-            if one.document.kind in kinds and TRUST[one.document.trust] >= TRUST[least]
+            if one.document.kind in kinds
+            and TRUST[one.document.trust] >= TRUST[least]
+            and (not body or not one.document.bodies or body in one.document.bodies)
         }
         words = self._by_words(query, allowed) if by != "meaning" else {}
         meaning = self._by_meaning(query, allowed) if by != "words" else {}
         match by:
             case "both":
-                scores = fusion.normalised(words, _first(meaning) | {i: meaning[i] for i in words if i in meaning})
+                scores = fusion.normalised(words, meaning)
             case "words":
                 scores = words
             case "meaning":
@@ -195,6 +201,7 @@ class Library:
         document = Document(
             name, reading.version, kind, submission.trust, submission.title or _title_of(reading, name), reading.media,
             Path(submission.file).name, now, reading.source, len(reading.text), len(pieces), reading.hidden,
+            submission.bodies,
         )  # fmt: skip
         change = _change([one for _, one in self.history(name)], document)
         if change != "unchanged":
@@ -273,8 +280,8 @@ def _change(history: list[Document | None], document: Document) -> Change:
     if last is None or last.version != document.version:
         seen = any(one is not None and one.version == document.version for one in history)
         return "restored" if seen else "new version"
-    labels = (last.kind, last.trust, last.title) == (document.kind, document.trust, document.title)
-    return "unchanged" if labels else "relabelled"
+    labels = [(one.kind, one.trust, one.title, one.bodies) for one in (last, document)]
+    return "unchanged" if labels[0] == labels[1] else "relabelled"
 
 
 def _name_of(file: str) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from dualbrain.errors import InvalidSetup
 from dualbrain.knowledge.document import Kind, Trust
+from dualbrain.knowledge.encoder import Encoder
 from dualbrain.knowledge.library import Addition, Library, Submission
 from dualbrain.knowledge.refusal import Refused
 
@@ -21,6 +23,8 @@ SHIPPED: dict[str, Kind] = {
     "panda-templates.toml": "template",
 }
 """File and kind of each; a test holds that every file of the folder is here."""
+BODIES = {"panda-hand.md": ("panda",), "ur5e-notes.md": ("ur5e",), "panda-templates.toml": ("panda",)}
+"""Whom a document is about, where it is not about all."""
 TRUST: Trust = "vendor"
 
 
@@ -31,12 +35,34 @@ def add_shipped(library: Library, *, now: float) -> tuple[Addition, ...]:
     """
     done: list[Addition] = []
     for file, kind in SHIPPED.items():
-        history = [one for _, one in library.history(Path(file).stem)]
-        if history and (history[-1] is None or history[-1].trust != TRUST or history[-1].file != file):
+        if not _wanted(library, file):
             continue
-        added = library.add(Submission(file, (DATA / file).read_bytes(), TRUST, kind=kind), now=now)
+        data, bodies = (DATA / file).read_bytes(), BODIES.get(file, ())
+        added = library.add(Submission(file, data, TRUST, kind=kind, bodies=bodies), now=now)
         if isinstance(added, Refused):
             raise InvalidSetup(f"shipped document {file}", got=str(added), allowed="a document", fix="Reinstall.")
         if added.change != "unchanged":
             done.append(added)
     return tuple(done)
+
+
+def open_library(path: Path, encoder: Encoder, *, now: float) -> Library:
+    """The library at `path` with today's shipped documents; it is written only if one of them is missing or old."""
+    if path.exists():
+        library = Library(path, encoder)
+        if not any(_wanted(library, file) for file in SHIPPED):
+            return library
+        library.close()
+    library = Library(path, encoder, write=True)
+    add_shipped(library, now=now)
+    return library
+
+
+def _wanted(library: Library, file: str) -> bool:
+    """Whether `library` has never seen this document, or has an older version of it that nobody touched."""
+    history = [one for _, one in library.history(Path(file).stem)]
+    if not history:
+        return True
+    last = history[-1]
+    ours = last is not None and last.trust == TRUST and last.file == file
+    return ours and last.source != hashlib.sha256((DATA / file).read_bytes()).hexdigest()
