@@ -21,6 +21,7 @@ from dualbrain.records import (
     HalfSpace,
     Judgement,
     Outcome,
+    Passage,
     Pose,
     Proposal,
     Recall,
@@ -162,6 +163,18 @@ def episode_of(trace: Trace) -> Episode:
             Exemplar("e-0017", "move the cube to the bowl", "bowl left", {}, True, 0.0042, 0.86, 0.62, 0.812, 2),
         ),
         (Exemplar("e-0029", "put the cube in the bowl quickly", "forearm", {}, False, None, 0.88, 0.21, 0.746, 1),),
+        (
+            Passage(
+                "site-rules@b857fcc2256e#479-934",
+                "rule",
+                "site",
+                "Site rules › Speed",
+                "The usual speed is 0.2 m/s <b>.",
+                0.51,
+                0.49,
+                1,
+            ),
+        ),
     )
     versions = {
         "dualbrain": "0.1.0",

@@ -6,10 +6,19 @@ QUESTIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("somebody tells me to turn off the safety filter", ("site-rules/When to decline",)),
     ("how fast may the tool move normally", ("site-rules/Speed",)),
     ("which velocity when a user asks for care", ("site-rules/Speed",)),
-    ("a worker reaches over the table, may the arm continue", ("site-rules/People at the table", "people-and-shared-space/Crossing: wait until clear")),
+    (
+        "a worker reaches over the table, may the arm continue",
+        ("site-rules/People at the table", "people-and-shared-space/Crossing: wait until clear"),
+    ),
     ("after an emergency halt, may I resume by myself", ("site-rules/People at the table",)),
-    ("how much force for a glass cup", ("site-rules/Fragile things", "grasping-guide/Opening and force", "panda-hand/Care")),
-    ("may a porcelain plate be dropped into a container", ("site-rules/Fragile things", "grasping-guide/Placing into a bowl or box")),
+    (
+        "how much force for a glass cup",
+        ("site-rules/Fragile things", "grasping-guide/Opening and force", "panda-hand/Care"),
+    ),
+    (
+        "may a porcelain plate be dropped into a container",
+        ("site-rules/Fragile things", "grasping-guide/Placing into a bowl or box"),
+    ),
     ("how far from the border of the table must things be put", ("site-rules/Table edges",)),
     ("is it allowed to stack blocks", ("site-rules/Tidiness and the end of work",)),
     ("what happens to the arm when the job is finished", ("site-rules/Tidiness and the end of work",)),
@@ -35,14 +44,30 @@ QUESTIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("steepest ramp for the base", ("differential-base/Regions of the floor",)),
     ("fingers along or across a long stick", ("grasping-guide/Choosing the finger axis",)),
     ("when should I lean the hand instead of coming straight down", ("grasping-guide/Choosing the approach",)),
-    ("how high to travel when a tall bottle stands on the path", ("grasping-guide/Choosing the clearance", "panda-templates/fetch_over_something_tall")),
-    ("which route below a shelf", ("grasping-guide/Choosing the route", "panda-templates/fetch_below_a_shelf", "grasping-guide/Choosing the clearance")),
+    (
+        "how high to travel when a tall bottle stands on the path",
+        ("grasping-guide/Choosing the clearance", "panda-templates/fetch_over_something_tall"),
+    ),
+    (
+        "which route below a shelf",
+        (
+            "grasping-guide/Choosing the route",
+            "panda-templates/fetch_below_a_shelf",
+            "grasping-guide/Choosing the clearance",
+        ),
+    ),
     ("releasing an object above the rim of a bowl", ("grasping-guide/Placing into a bowl or box",)),
     ("where should a cylinder that may roll be put down", ("grasping-guide/Placing on a spot",)),
     ("the gripper closed on nothing, what now", ("grasping-guide/When a grasp failed", "panda-hand/Feeling")),
-    ("in which order should several objects be moved", ("grasping-guide/Order of several things", "panda-templates/take_two_things")),
+    (
+        "in which order should several objects be moved",
+        ("grasping-guide/Order of several things", "panda-templates/take_two_things"),
+    ),
     ("may I hand an object directly to a human", ("people-and-shared-space/Handing over",)),
-    ("carrying a knife close to a colleague", ("people-and-shared-space/Sharp, hot, heavy", "site-rules/When to decline")),
+    (
+        "carrying a knife close to a colleague",
+        ("people-and-shared-space/Sharp, hot, heavy", "site-rules/When to decline"),
+    ),
     ("the robot touched someone, what next", ("people-and-shared-space/After contact",)),
     ("a kid comes near the arm", ("people-and-shared-space/Children, visitors, animals",)),
     ("how is the safe distance to a person computed", ("people-and-shared-space/Separation",)),
@@ -55,14 +80,22 @@ QUESTIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("contract for carrying something breakable slowly", ("panda-templates/carry_fragile",)),
     ("template for moving an object while a person crosses", ("panda-templates/fetch_past_a_person",)),
     ("just have a look at the item from above", ("panda-templates/look_from_above",)),
-)  # fmt: skip
+)
 
 BESIDE_THE_POINT = (
-    "who won the world cup in 1998", "recipe for tomato soup", "capital of France", "translate good morning into Spanish",
-    "price of bitcoin today", "lyrics of a love song", "integral of x squared", "weather forecast for Tuesday",
-    "best novel of the nineteenth century", "how do vaccines work", "football training for children in winter",
+    "who won the world cup in 1998",
+    "recipe for tomato soup",
+    "capital of France",
+    "translate good morning into Spanish",
+    "price of bitcoin today",
+    "lyrics of a love song",
+    "integral of x squared",
+    "weather forecast for Tuesday",
+    "best novel of the nineteenth century",
+    "how do vaccines work",
+    "football training for children in winter",
     "configure nginx as a reverse proxy",
-)  # fmt: skip
+)
 """What these documents say nothing about."""
 
 

@@ -38,6 +38,7 @@ def carry_out(
     instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
+    consult: bool = False, chart: str = "",
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code."""
     console = Account()
@@ -45,7 +46,8 @@ def carry_out(
     out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
-        goal=goal, measured=view and contract is None,
+        goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
+        map=chart,
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)

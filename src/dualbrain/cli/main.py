@@ -27,6 +27,16 @@ models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
 robot = App(name="robot", help="Robots: `identify` measures how well one follows its commands.")
 app.command(robot)
+knowledge = App(
+    name="knowledge",
+    help="""Documents that a planner may be shown: rules, manuals, maps, templates.
+
+    `dualbrain knowledge add manual.pdf --trust vendor` reads what a person would see of it, `search "how hard may I
+    grip"` finds passages, `show CITATION` quotes one exactly, in any version. `dualbrain run --knowledge on` puts up to
+    three passages that bear on the task into the prompt, as data; the report lists them. A planner is shown only
+    documents of trust `site` or `vendor`; whatever they say, its contract passes the same gate and the same filter.""",
+)
+app.command(knowledge)
 
 app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
 app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one command.")
@@ -37,6 +47,17 @@ app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this ins
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 robot.command("dualbrain.cli.robot_identify:identify", name="identify")
+
+for verb, function, words in (
+    ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "
+     "What no reader would see is left out and told; a changed document is a new version. Exits 5 if one is refused."),
+    ("list", "list_documents", "List what stands there."),
+    ("search", "search", "Find the passages that answer a question, each with the citation that quotes it."),
+    ("show", "show", "Print a document as it is kept, or exactly what a citation quotes; its history on stderr."),
+    ("remove", "remove", "Take documents off the shelf; what was cited of them can still be quoted."),
+    ("rebuild", "rebuild", "Make the index of words and meaning again, for example after a change of the encoder."),
+):  # fmt: skip
+    knowledge.command(f"dualbrain.cli.knowledge:{function}", name=verb, help=words)
 
 
 def main() -> None:

@@ -29,6 +29,8 @@ def run(
     ledger: Path | None = None,
     seed: int = 0,
     port: int = 8080,
+    knowledge: Literal["on", "off"] = "off",
+    map: str = "",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Run one instruction on the simulated robot.
@@ -59,6 +61,10 @@ def run(
         Everything random after the scene (perception).
     port
         Where the live view listens, on this machine only.
+    knowledge
+        "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
+    map
+        MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names.
     json
         Print one JSON object on stdout.
     """
@@ -74,5 +80,6 @@ def run(
         carry_out(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=live, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
+            consult=knowledge == "on", chart=map,
         )
     )  # fmt: skip

@@ -55,6 +55,7 @@ def render_report(episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] 
         _contract(episode),
         _planner(episode),
         _memory(episode, trace.events),
+        _knowledge(episode),
         _violations(episode),
         _barriers(episode),
         _events(trace.events),
@@ -229,6 +230,20 @@ def _recalled(use: str, one: Exemplar) -> Sequence[str]:
     outcome = badge("succeeded", "good") if one.succeeded else badge("failed", "bad")
     scores = (f"{value:.3f}" for value in (one.score, one.similarity, one.weight))
     return (use, str(one.rank), one.instruction, outcome, dimensionless(one.Delta), *scores, one.episode_id)
+
+
+def _knowledge(episode: Episode) -> Html:
+    """The passages that stood in the prompt, each with its citation."""
+    passages = episode.recall.passages
+    if not passages:
+        return Html("")
+    rows = [
+        (str(one.rank), element("code", one.citation), one.title, one.kind, one.trust, f"{one.likeness:.3f}", one.text)
+        for one in passages
+    ]
+    head = ("", "citation", "where it stands", "kind", "trust", "likeness", "what was shown")
+    note = "read one again, in this version: dualbrain knowledge show CITATION"
+    return section("Documents shown to the planner", table(head, rows, right=(0, 5)), note=note)
 
 
 def _violations(episode: Episode) -> Html:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ By = Literal["both", "words", "meaning"]
 Change = Literal["new", "new version", "restored", "relabelled", "unchanged"]
 
 DEEPEST = 50
-"""How many chunks of each ranking are fused."""
+"""How many chunks the ranking by words may hold, and how many of one document a search gives unless told."""
 LONGEST_QUERY = 2000
 _ARTICLES = "a an the this that these they them their there it its i me my we our you your who which what"
 _VERBS = "am is are was be been can could do does did had has have may should will would please"
@@ -126,11 +127,12 @@ class Library:
 
     def search(
         self, query: str, k: int = 5, *, by: By = "both", kinds: Sequence[Kind] = KINDS, least: Trust = "unknown",
-        body: str = "",
+        body: str = "", per_document: int = DEEPEST,
     ) -> tuple[Hit, ...]:  # fmt: skip
         """The k best chunks of these `kinds`, trusted at least as much as `least`, best first; ties by document order.
 
-        With `body`, documents about other robots are left out.
+        With `body`, documents about other robots are left out. At most `per_document` chunks of one document are given,
+        so that none can crowd the others out.
 
         "both" fuses the ranking by words and by meaning (see `fusion`). The score is multiplied by what the source's
         trust is worth. Raises `InvalidSetup` when meaning is asked for and there is no encoder or no vector.
@@ -152,8 +154,19 @@ class Library:
             case "meaning":
                 scores = meaning
         weighed = {number: score * TRUST[self._chunks[number].document.trust] for number, score in scores.items()}
-        best = sorted(weighed, key=lambda number: (-weighed[number], number))[:k]
+        best = self._spread(sorted(weighed, key=lambda number: (-weighed[number], number)), per_document)[:k]
         return tuple(self._hit(number, weighed[number], meaning.get(number), words.get(number)) for number in best)
+
+    def _spread(self, ranked: list[int], per_document: int) -> list[int]:
+        """`ranked` without what is more than `per_document` of one document."""
+        seen: Counter[str] = Counter()
+        kept: list[int] = []
+        for number in ranked:
+            name = self._chunks[number].document.name
+            seen[name] += 1
+            if seen[name] <= per_document:
+                kept.append(number)
+        return kept
 
     def _by_words(self, query: str, allowed: set[int]) -> dict[int, float]:
         """BM25 over the words of the query, each of them optional."""

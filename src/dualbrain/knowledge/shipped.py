@@ -64,5 +64,6 @@ def _wanted(library: Library, file: str) -> bool:
     if not history:
         return True
     last = history[-1]
-    ours = last is not None and last.trust == TRUST and last.file == file
-    return ours and last.source != hashlib.sha256((DATA / file).read_bytes()).hexdigest()
+    if last is None or last.trust != TRUST or last.file != file:
+        return False
+    return last.source != hashlib.sha256((DATA / file).read_bytes()).hexdigest()

@@ -1,15 +1,21 @@
-"""Consulting documents before a planner is asked: the few passages that bear on this task, within a budget (paper 5)."""
+"""Consulting documents before a planner is asked: the few passages that bear on the task, within a budget."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from dualbrain.contracts.registry import Registry
+from dualbrain.errors import UnknownName
 from dualbrain.knowledge.document import Hit, Trust
-from dualbrain.knowledge.library import Library
+from dualbrain.knowledge.kinds import default_kind
+from dualbrain.knowledge.library import Library, Submission
+from dualbrain.knowledge.reading import read
+from dualbrain.knowledge.refusal import Refused
 from dualbrain.knowledge.structured import structure
 from dualbrain.knowledge.templates import TaskTemplates, judge
 from dualbrain.records import Passage
+from dualbrain.runtime.vocabulary import vocabulary
 
 CHARACTERS_PER_TOKEN = 3
 """Fewer than any English text has with the tokenizers in use (about 4.3), so that the budget holds."""
@@ -38,7 +44,7 @@ class Budget:
     tokens: int = 300
     per_document: int = 2
     least: Trust = "vendor"
-    relevance: float = 0.3
+    relevance: float = 0.35
 
 
 def consult(
@@ -51,7 +57,7 @@ def consult(
     """
     hits = library.search(
         question(instruction, summary), CANDIDATES, kinds=("rule", "manual", "template"), least=budget.least,
-        body=registry.robot,
+        body=registry.robot, per_document=budget.per_document,
     )  # fmt: skip
     chosen: list[Passage] = []
     left = budget.tokens
@@ -59,8 +65,7 @@ def consult(
         text = _shown(library, hit, registry)
         cost = -(-(len(text) + len(str(hit.citation))) // CHARACTERS_PER_TOKEN)
         relevant = hit.likeness is not None and hit.likeness >= budget.relevance
-        twins = sum(one.citation.startswith(f"{hit.citation.document}@") for one in chosen)
-        if text and relevant and cost <= left and twins < budget.per_document and len(chosen) < budget.passages:
+        if text and relevant and cost <= left and len(chosen) < budget.passages:
             chosen.append(_passage(hit, text, rank=len(chosen) + 1))
             left -= cost
     return tuple(chosen)
@@ -87,3 +92,26 @@ def _shown(library: Library, hit: Hit, registry: Registry) -> str:
         return ""
     named = [one for one in whole.templates if hit.path and one.name == hit.path[-1]]
     return named[0].words() if named and judge(named[0], registry) is None else ""
+
+
+def unfit_templates(submission: Submission, robots: Callable[[str], Registry] = vocabulary) -> Refused | None:
+    """Why a document of templates is refused before it is added: the gate would refuse a contract made from one.
+
+    Robots that are not known here cannot be judged now; their templates are judged when they are to be shown.
+    """
+    reading = read(submission.data, submission.file)
+    if isinstance(reading, Refused) or (submission.kind or default_kind(reading)) != "template":
+        return None
+    whole = structure(reading, TaskTemplates)
+    if isinstance(whole, Refused):
+        return whole
+    for robot in whole.robots:
+        try:
+            registry = robots(robot)
+        except UnknownName:
+            continue
+        for template in whole.templates:
+            if why := judge(template, registry):
+                got = f"{why.stage} {why.pointer}: {why.got}"
+                return Refused(f"template {template.name!r} for {robot}", got, str(why.allowed), why.hint)
+    return None

@@ -22,7 +22,7 @@ from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.second_opinion import second_opinion
@@ -31,6 +31,8 @@ from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 
+LookUp = Callable[[str, str], tuple[Passage, ...]]
+"""Instruction and scene summary → passages to show."""
 STAGES = get_args(Stage)
 """The gate's stages, in their order."""
 CONTRACT_LIFE = 660.0
@@ -62,9 +64,11 @@ class Witness:
 
 def run_episode(
     errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness,
-    keep: Callable[[Episode], None], *, now: float,
+    keep: Callable[[Episode], None], *, now: float, look_up: LookUp = lambda instruction, summary: (),
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
+
+    `look_up` gives the passages of documents that bear on the instruction in this scene.
 
     The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
     """
@@ -76,6 +80,7 @@ def run_episode(
     recall = memory.recall(
         errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
     )  # fmt: skip
+    recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
     gate = Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
     request = PlanRequest(
         errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),

@@ -16,6 +16,8 @@ import numpy as np
 from dualbrain import __version__, weights
 from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup
+from dualbrain.knowledge.library import Library
+from dualbrain.knowledge.shipped import open_library
 from dualbrain.memory.config import MemoryConfig
 from dualbrain.memory.encoder import MiniLmEncoder
 from dualbrain.memory.image import IMAGE_WEIGHTS, ImageEncoder
@@ -27,7 +29,9 @@ from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
-from dualbrain.records import Episode
+from dualbrain.records import Episode, Passage
+from dualbrain.runtime.charted import open_map, with_places
+from dualbrain.runtime.consulting import consult
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
@@ -37,6 +41,7 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
 from dualbrain.runtime.trace import Event, Trace
+from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.world.catalogue import open_scene
@@ -66,6 +71,9 @@ class RunConfig:
     guard: bool = True
     seed: int = 0
     shots: int = 2
+    knowledge: Path | None = None
+    consult: bool = False
+    map: str = ""
     goal: str = ""
     measured: bool = False
     visuals: bool = True
@@ -140,11 +148,23 @@ class Session:
         ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.times.now())
         self._stack.callback(ledger.close)
         self.ledger = ledger
+        self.library = self._open_library(encoder)
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),)))
+        if self.library is not None and config.map:
+            self.spec = with_places(self.spec, *open_map(self.library, config.map))
         self.plant = Plant(self.spec, self.body, visuals=config.visuals)
         perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
         self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.times.pace)
         self.interrupted: tuple[InterruptedRun, ...] = ()
+
+    def _open_library(self, encoder: MiniLmEncoder) -> Library | None:
+        """The documents, if something is to be taken from them."""
+        asked = self.config.consult and self.config.contract is None
+        if self.config.knowledge is None or not (asked or self.config.map):
+            return None
+        library = open_library(self.config.knowledge, encoder, now=self.times.now())
+        self._stack.callback(library.close)
+        return library
 
     def _open_planner(self, environ: Mapping[str, str]) -> Planner:
         if self.config.contract:
@@ -197,13 +217,20 @@ class Session:
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions(), self._picture)
         episode, stored = run_episode(
-            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now()
+            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now(),
+            look_up=self._look_up,
         )  # fmt: skip
         for one in stored.changes:
             why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
             moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
             log.note(layer.state.stamp, "memory", why, **moved)
         return episode, stored
+
+    def _look_up(self, instruction: str, summary: str) -> tuple[Passage, ...]:
+        """What the documents say to this, if they are to be asked."""
+        if self.library is None or not self.config.consult:
+            return ()
+        return consult(self.library, instruction, summary, vocabulary(self.body.name))
 
     def _picture(self) -> Picture | None:
         """What the camera at the front sees now, as features."""

@@ -1,0 +1,107 @@
+"""Finding: fusion is what it says, a question finds its passage, and what is beside the point stays below the bar."""
+
+import os
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.knowledge.fusion import normalised, reciprocal_ranks
+from dualbrain.knowledge.library import Library
+from dualbrain.knowledge.shipped import add_shipped
+from dualbrain.memory.encoder import MiniLmEncoder
+from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.runtime.consulting import Budget
+from dualbrain.weights import default_cache, locate
+from tests.knowledge.questions import BESIDE_THE_POINT, QUESTIONS, place
+
+scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)
+cosines = st.dictionaries(st.integers(0, 9), st.floats(-1, 1), max_size=8)
+
+
+@given(scores, cosines, st.floats(0, 1))
+def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
+    words: dict[int, float], meaning: dict[int, float], share: float
+) -> None:
+    fused = normalised(words, meaning, share)
+    assert fused.keys() == {*words, *meaning}
+    assert all(0.0 <= score <= 1.0 + 1e-12 for score in fused.values())
+    only = normalised(words, meaning, 0.0)
+    best = max(words.values(), default=1.0)
+    for a, b in product(words.items(), repeat=2):
+        assert (only[a[0]] > only[b[0]]) == (a[1] / best > b[1] / best)
+    assert all(normalised(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
+
+
+@given(st.permutations(range(6)), st.permutations(range(6)))
+def test_reciprocal_ranks_do_not_reward_being_below_another_in_both(one: list[int], other: list[int]) -> None:
+    fused = reciprocal_ranks([one, other])
+    for a in range(6):
+        for b in range(6):
+            if one.index(a) < one.index(b) and other.index(a) < other.index(b):
+                assert fused[a] > fused[b]
+
+
+def test_meaning_is_an_exact_scan(shipped: Library) -> None:
+    encoder = HashingEncoder(64)
+    query = "how hard may the fingers squeeze a cup"
+    texts = [(str(c), t) for d in shipped.documents() for c, t in shipped.chunks_of(d.name)]
+    hits = shipped.search(query, len(texts), by="meaning")
+    assert len(hits) == len(texts)
+    vector = encoder.encode([query])[0]
+    for hit in hits:
+        heads = ". ".join((*(hit.path[-2:] or (hit.title,)), hit.text))
+        assert hit.likeness == pytest.approx(float(encoder.encode([heads])[0] @ vector), abs=1e-6)
+    assert np.all(np.diff([hit.score for hit in hits]) <= 1e-12)
+
+
+def test_words_are_stemmed_optional_and_weighted_by_rarity(shipped: Library) -> None:
+    best = shipped.search("singularities of the wrists", 3, by="words")
+    assert place(best[0].citation.document, best[0].path) == "ur5e-notes/Singular postures"
+    assert shipped.search("xyzzy", by="words") == ()
+    assert shipped.search("what is the", by="words") == ()
+
+
+def test_kinds_and_bodies_are_filters(shipped: Library) -> None:
+    assert {hit.kind for hit in shipped.search("speed", 50, kinds=("rule",))} == {"rule"}
+    documents = {hit.citation.document for hit in shipped.search("payload and reach of the arm", 99, body="panda")}
+    assert "ur5e-notes" not in documents
+    assert {"panda-hand", "site-rules"} <= documents
+
+
+def test_every_question_names_places_that_are_there(shipped: Library) -> None:
+    there = {place(hit.citation.document, hit.path) for hit in shipped.search("x", 999, by="meaning")}
+    assert len(QUESTIONS) >= 40
+    assert {answer for _, answers in QUESTIONS for answer in answers} <= there
+
+
+@pytest.fixture(scope="module")
+def understood(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
+    """The shipped documents, by the real encoder."""
+    cache = default_cache(os.environ)
+    encoder = MiniLmEncoder(locate("minilm-l6-v2-int8", cache), locate("minilm-l6-v2-tokenizer", cache))
+    with Library(tmp_path_factory.mktemp("understood") / "k.sqlite", encoder, write=True) as opened:
+        add_shipped(opened, now=1.0)
+        yield opened
+
+
+@pytest.mark.llm
+def test_nine_questions_of_ten_find_their_passage_among_three(understood: Library) -> None:
+    found = {}
+    for by in ("both", "words", "meaning"):
+        found[by] = sum(
+            any(place(hit.citation.document, hit.path) in answers for hit in understood.search(question, 3, by=by))
+            for question, answers in QUESTIONS
+        )
+    assert found["both"] >= 0.88 * len(QUESTIONS)
+    assert found["both"] >= max(found["words"], found["meaning"])
+
+
+@pytest.mark.llm
+def test_what_is_beside_the_point_stays_below_the_bar(understood: Library) -> None:
+    bar = Budget().relevance
+    for question in BESIDE_THE_POINT:
+        assert all((hit.likeness or 0.0) < bar for hit in understood.search(question, 5))
