@@ -50,6 +50,7 @@ class Answer:
     certified: bool = True
     iterations: int = 2
     n_rows: int = 118
+    delta_supervisor: float = 0.0
 
 
 def synthetic_trace(seconds: float = 20.0) -> Trace:

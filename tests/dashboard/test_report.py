@@ -144,6 +144,15 @@ def _renamed(thing: SceneObject) -> SceneObject:
     return msgspec.structs.replace(thing, name=HOSTILE)
 
 
+def test_what_the_planner_was_shown_stands_with_its_citation(episode: Episode, trace: Trace) -> None:
+    page = _Page(render_report(episode, trace))
+    for one in episode.recall.passages:
+        assert one.citation in page.text
+        assert one.text in page.text
+    silent = msgspec.structs.replace(episode, recall=msgspec.structs.replace(episode.recall, passages=()))
+    assert "Documents shown" not in render_report(silent, trace)
+
+
 def test_a_refused_contract_has_nothing_to_plot(refused: Episode) -> None:
     page = render_report(refused, EMPTY)
     parsed = _Page(page)
