@@ -57,7 +57,7 @@ def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data:
     assert list(in_effect(rollbacks, head)) == path[::-1]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(steps, steps)
 def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPathFactory, a: Steps, b: Steps) -> None:
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
@@ -74,7 +74,7 @@ def test_a_rollback_brings_back_exactly_what_was(tmp_path_factory: pytest.TempPa
         assert ledger.verify().whole
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(steps)
 def test_as_of_a_time_is_what_was_live_then(tmp_path_factory: pytest.TempPathFactory, sequence: Steps) -> None:
     with open_ledger(tmp_path_factory.mktemp("l")) as ledger:
@@ -87,7 +87,7 @@ def test_as_of_a_time_is_what_was_live_then(tmp_path_factory: pytest.TempPathFac
         assert as_of(ledger, NOW - 1).weights() == {}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(steps, st.data())
 def test_set_aside_equals_never_seen(
     tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject
@@ -174,7 +174,7 @@ def test_a_reader_recalls_and_does_not_write(tmp_path: Path) -> None:
 # --- compaction -----------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(steps, st.data())
 def test_compaction_keeps_every_weight_to_the_bit(
     tmp_path_factory: pytest.TempPathFactory, sequence: Steps, data: st.DataObject

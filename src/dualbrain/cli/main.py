@@ -23,6 +23,8 @@ app = App(
     seen, 5 broken set-up, 130 interrupted.""",
     help_format="markdown",
 )
+memory = App(name="memory", help="What happened: look at memory, audit it, mend it. Everything is reversible.")
+app.command(memory)
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
 robot = App(name="robot", help="Robots: `identify` measures how well one follows its commands.")
@@ -44,6 +46,22 @@ app.command("dualbrain.cli.schema:schema", name="schema", help="Print a robot's 
 app.command("dualbrain.cli.check:check", name="check", help="What the gate says of a contract file.")
 app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
+for _name, _function, _help in (
+    ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),
+    ("show", "memory:show", "Show one memory whole, with everything that moved its weight."),
+    ("search", "memory:search", "Search as the planner would, with all parts of the score."),
+    ("export", "memory:export", "Write all memories as lines of JSON."),
+    ("verify", "memory:verify", "Check chain, weights, snapshot and vectors."),
+    ("audit", "memory_change:audit", "Label conflicts, near-duplicates, blast radius of each source."),
+    ("quarantine", "memory_change:quarantine", "Set memories aside, with their influence."),
+    ("release", "memory_change:release", "Bring them back."),
+    ("forget", "memory_change:forget", "Put a tombstone on memories."),
+    ("rollback", "memory_change:rollback", "Make memory what it was at an event."),
+    ("replay", "memory_change:replay", "Run a remembered contract again in simulation."),
+    ("compact", "memory_change:compact", "A short ledger with the same weights; the long one is archived."),
+    ("rebuild", "memory_change:rebuild", "Make all vectors anew."),
+):
+    memory.command(f"dualbrain.cli.{_function}", name=_name, help=_help)
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 robot.command("dualbrain.cli.robot_identify:identify", name="identify")

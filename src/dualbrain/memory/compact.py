@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,6 +58,28 @@ def compact(source: LedgerReader, target: Path, *, holder: str, now: float) -> S
                 ledger.append(entries, now=time)
         ledger.append([*_folds(source, state), *_statuses(source, state), *_adapters(source)], now=now)
     return state
+
+
+def swap(path: Path, *, holder: str, now: float, patience: float) -> Path:
+    """Compact the ledger at `path` in place; returns where the long one lies from now on.
+
+    A process killed on the way leaves the long ledger in force, or beside the short one under its archive name.
+    """
+    with Ledger(path, holder=holder, now=now, patience=patience) as long:
+        archive = path.with_name(f"{path.name}.archive-{long.head().seq}")
+        partial = path.with_name(f"{path.name}.compacting")
+        for old in path.parent.glob(f"{partial.name}*"):
+            old.unlink()
+        compact(long, partial, holder=holder, now=now)
+        long.settle()
+        for old in path.parent.glob(f"{path.name}.snapshot-*"):
+            old.unlink()
+        os.link(path, archive)
+        partial.replace(path)
+        for rest in (path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
+            rest.unlink(missing_ok=True)
+    partial.with_name(f"{partial.name}.lock").unlink(missing_ok=True)
+    return archive
 
 
 def _episodes(source: LedgerReader) -> Iterator[tuple[float, Entry]]:

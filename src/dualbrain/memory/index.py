@@ -20,6 +20,9 @@ from dualbrain.memory.snapshot import Snapshot
 from dualbrain.memory.state import Memo, State
 from dualbrain.memory.trace import read_stored
 
+ROUNDING = 1e-5
+"""A float32 cosine may be this far off."""
+
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
@@ -95,10 +98,11 @@ class Index:
     def within(self, compared: Compared, where: Filter, least: float, most: int) -> list[tuple[int, float]]:
         """Rows that pass `where` with cosine at least `least`, at most `most`, the nearest (then the newest) first."""
         rows = np.flatnonzero(self._columns.mask(where) & (compared.cosine >= least))
-        if rows.size > most:
-            rows = rows[np.argpartition(-compared.cosine[rows], most - 1)[:most]] if most else rows[:0]
+        if rows.size > most > 0:
+            rough = compared.cosine[rows]
+            rows = rows[rough >= np.partition(rough, -most)[-most] - ROUNDING]
         cosines = self.scan.cosines(rows, compared.query)
-        order = np.lexsort((-rows, -cosines))
+        order = np.lexsort((-rows, -cosines))[:most]
         return [(int(rows[i]), float(cosines[i])) for i in order]
 
     def parts(self, row: int, embedded: Embedded) -> dict[str, float]:

@@ -239,6 +239,13 @@ class Ledger(LedgerReader):
         episodes = sum(event.kind == EPISODE for event in events)
         return InterruptedRun(start.run, start.time, events[-1].time, runs.last_words(events[-1]), episodes)
 
+    def settle(self) -> None:
+        """Bring all of the write-ahead log into the file itself; raises `InvalidSetup` if a reader is in the way."""
+        with self._translated():
+            busy = self._database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+        if busy:
+            raise InvalidSetup("memory ledger", got="in use by a reader", allowed="nobody reading", fix=str(self.path))
+
     def close(self) -> None:
         """Close the file and let the next writer in."""
         super().close()

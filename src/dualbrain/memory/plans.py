@@ -13,7 +13,7 @@ TOLERANCE = 0.05
 def actions(contract: dict[str, Any] | None) -> list[dict[str, Any]]:
     """The actions of a contract; none for what is no contract."""
     found = (contract or {}).get("action_sequence")
-    if not isinstance(found, list):
+    if not isinstance(found, list | tuple):
         return []
     return [cast("dict[str, Any]", action) for action in cast("list[Any]", found) if isinstance(action, dict)]
 

@@ -1,0 +1,136 @@
+"""Anomalous replay (paper section 8): a remembered contract run again in simulation, through gate and filter.
+
+Playing the past would prove nothing; the contract is carried out anew, several times, in worlds rebuilt from what was
+perceived then. What counts is the robot's own verdict with its second opinion, as it did then: simulator truth takes no
+part in what memory believes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+from statistics import median
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Accepted, Rejected
+from dualbrain.embodiment.body import Body, load_body
+from dualbrain.errors import InvalidSetup
+from dualbrain.memory.events import ReplayFinding
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.memory.posture import Posture
+from dualbrain.memory.state import Memo
+from dualbrain.records import Outcome, Scene
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.second_opinion import second_opinion
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.remembered import remembered_scene
+
+SPREAD = 0.003
+"""Standard deviation of the shifts of things between tries [m]: that of perception."""
+RIGHT = 0.8
+"""A true memory is expected to repeat itself in at least this share of the tries."""
+ALPHA = 0.05
+"""A memory is contradicted if so few tries agree that a true one would show that with a chance below this."""
+APART, FLOOR = 3.0, 1e-3
+"""Δ contradicts if it differs more than threefold, both counted as at least the floor."""
+
+
+class _Body(msgspec.Struct):
+    scene: Scene
+    contract: dict[str, Any] | None
+
+
+class _Stored(msgspec.Struct):
+    episode: _Body
+    state: Posture
+
+
+@dataclass(frozen=True, slots=True)
+class Try:
+    """One run: how it ended by the robot's own verdict (or "refused" by the gate), and Δ."""
+
+    kind: str
+    Delta: float | None
+    reason: str
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the robot's own senses call it a success."""
+        return self.kind == "succeeded"
+
+
+def rerun(ledger: LedgerReader, memo: Memo, *, tries: int, seed: int, actor: str) -> ReplayFinding:
+    """Run the contract of `memo` `tries` times and compare outcome and Δ with what is remembered.
+
+    Raises `InvalidSetup` for a memory without a contract, or whose scene cannot be simulated.
+    """
+    stored = msgspec.json.decode(ledger.event(memo.seq).payload, type=_Stored)
+    if not stored.episode.contract or memo.Delta is None:
+        raise InvalidSetup("memory to replay", got=memo.kind, allowed="one whose contract was carried out", fix=memo.id)
+    done = [_once(stored, memo.robot, np.random.default_rng([seed, number])) for number in range(tries)]
+    reason, agrees = verdict(memo.r, memo.Delta, done)
+    kinds, Deltas = tuple(one.kind for one in done), tuple(one.Delta for one in done)
+    return ReplayFinding(memo.id, agrees, memo.kind, kinds, Deltas, reason, actor)
+
+
+def verdict(r: int, Delta: float, done: list[Try]) -> tuple[str, bool]:
+    """What the tries say of a memory with label `r` and `Delta`, in words, and whether they leave it standing.
+
+    Contradicted if P(X ≤ agreeing) < 0.05 for X ~ Binomial(tries, 0.8), or if Δ of those that agree is more than three
+    times larger or smaller.
+    """
+    agreeing = [one for one in done if one.succeeded == bool(r)]
+    chance = sum(comb(len(done), k) * RIGHT**k * (1.0 - RIGHT) ** (len(done) - k) for k in range(len(agreeing) + 1))
+    told = f"{len(agreeing)} of {len(done)} tries ended as remembered"
+    if chance < ALPHA:
+        return f"{told}: too few (a true memory would show that with chance {chance:.3f})", False
+    found = [one.Delta for one in agreeing if one.Delta is not None]
+    if r and found:
+        middle, remembered = max(median(found), FLOOR), max(Delta, FLOOR)
+        if not 1.0 / APART <= middle / remembered <= APART:
+            return f"{told}, but with Δ {middle:.4f} where {Delta:.4f} is remembered", False
+    return told, True
+
+
+def _once(stored: _Stored, robot: str, rng: np.random.Generator) -> Try:
+    body = load_body(robot)
+    spec = remembered_scene(stored.episode.scene, rng, spread=SPREAD)
+    plant = Plant(spec, body, visuals=False)
+    plant.place_arm(np.asarray(stored.state.q), stored.state.opening)
+    world = SimulatedWorld(plant, Perception(spec, Noise(), rng))
+    layer = LocalLayer(
+        body, plant, world, SafetyFilter(body), FlightLog(Trace(body.n)), LayerConfig(), phase_changed=world.allow
+    )
+    layer.hold(0.5)
+    accepted = _accepted(layer, body, stored.episode.contract)
+    if isinstance(accepted, Rejected):
+        return Try("refused", None, accepted.hint)
+    outcome = layer.run(accepted)
+    return Try(_kind(layer, accepted, outcome), outcome.Delta, outcome.reason)
+
+
+def _kind(layer: LocalLayer, contract: Contract, outcome: Outcome) -> str:
+    """The outcome as memory would have it: a success that the eyes dispute is none."""
+    disputed = outcome.kind == "succeeded" and second_opinion(layer.scene, contract, outcome) == "disagrees"
+    return "disputed" if disputed else outcome.kind
+
+
+def _accepted(layer: LocalLayer, body: Body, contract: dict[str, Any] | None) -> Contract | Rejected:
+    """The contract through today's gate: a memory that no longer passes it is no memory to follow."""
+    registry = vocabulary(body.name)
+    gate = Gate(registry, grants(registry), scene_rules(layer.scene, layer.limb))
+    data, names = msgspec.json.encode(contract), scene_names(layer.scene)
+    said = gate.check(data, names=names, principal=PLANNER, now=layer.state.stamp)
+    return said.contract if isinstance(said, Accepted) else said

@@ -1,0 +1,90 @@
+"""A world rebuilt from what a robot once perceived: to try again in simulation what was done then."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, Scene, SceneObject, Shape, Sphere
+from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
+
+DENSITY = 400.0
+"""Things weigh this much [kg/m³]: neither perception nor memory knows their mass."""
+LIGHTEST, HEAVIEST = 0.02, 0.5
+ON_TABLE = 0.02
+"""What seems to stand this near to the table top stands on it [m]."""
+LIFT = 0.0005
+"""Things begin this far above what they stand on [m]."""
+MOVING, PASSES = 0.02, 3.0
+"""A person faster than this [m/s] crosses, going on for this long [s] before turning back."""
+
+
+def remembered_scene(scene: Scene, rng: np.random.Generator, *, spread: float) -> SceneSpec:
+    """The scene as a simulated world, every free thing shifted by a normal error of `spread` [m] along x and y.
+
+    What it is not: masses, friction and what was not perceived are unknown, so that one try proves little; several with
+    different shifts are evidence. Raises `InvalidSetup` for a scene that cannot be simulated.
+    """
+    seen = [thing for thing in scene.objects if thing.role in ("object", "container", "obstacle")]
+    things = tuple(_thing(thing, rng.normal(0.0, spread, 2)) for thing in seen)
+    people = [thing for thing in scene.objects if thing.role == "person" and isinstance(thing.shape, Capsule)]
+    mover = _mover(people[0]) if people else None
+    spec = SceneSpec(scene.robot, "remembered", 0, things, scene.places, mover)
+    check_scene(spec)
+    return spec
+
+
+def _thing(thing: SceneObject, shift: np.ndarray) -> Thing:
+    fixed = thing.role == "obstacle" and _bottom(thing) > ON_TABLE
+    x, y, z = thing.pose.position
+    if not fixed:
+        x, y = x + float(shift[0]), y + float(shift[1])
+        z = z - _bottom(thing) + LIFT if abs(_bottom(thing)) < ON_TABLE else z
+    mass = float(np.clip(DENSITY * _volume(thing.shape), LIGHTEST, HEAVIEST))
+    return Thing(
+        thing.name, thing.role, thing.shape, (x, y, z), mass, thing.colour, thing.category, thing.pose.quaternion,
+        fragile_limit=thing.fragile_limit, fixed=fixed,
+    )  # fmt: skip
+
+
+def _mover(person: SceneObject) -> Mover:
+    """Somebody who goes on as perceived and comes back; one who stands still rests for good."""
+    start, velocity = np.asarray(person.pose.position), np.asarray(person.velocity)
+    speed = float(np.linalg.norm(velocity))
+    assert isinstance(person.shape, Capsule)
+    end = start + velocity * PASSES if speed > MOVING else start + np.array([0.0, 0.001, 0.0])
+    pause = 0.0 if speed > MOVING else 1e6
+    a, b = tuple(start.tolist()), tuple(end.tolist())
+    return Mover(
+        a, b, max(speed, 0.01), pause, 0.0, person.name, person.shape.radius, person.shape.half_length,
+    )  # fmt: skip
+
+
+def _bottom(thing: SceneObject) -> float:
+    """Height of the lowest point of an upright thing [m]."""
+    z = thing.pose.position[2]
+    match thing.shape:
+        case Bowl():
+            return z
+        case Cylinder(_, half_height):
+            return z - half_height
+        case Box(half_extents):
+            return z - half_extents[2]
+        case Sphere(radius):
+            return z - radius
+        case _:
+            return z
+
+
+def _volume(shape: Shape) -> float:
+    """Solid volume [m³]."""
+    match shape:
+        case Sphere(radius):
+            return 4.19 * radius**3
+        case Cylinder(radius, half_height):
+            return 2.0 * np.pi * radius**2 * half_height
+        case Box((a, b, c)):
+            return 8.0 * a * b * c
+        case Bowl(radius, height, wall):
+            return (np.pi * radius**2 + 2.0 * np.pi * radius * height) * wall
+        case _:
+            return 0.0
