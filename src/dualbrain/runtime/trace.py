@@ -173,6 +173,13 @@ class Trace:
         self._full += [head, np.asarray(rows, dtype=np.float64)] if self._used else [np.asarray(rows, np.float64)]
         self._block, self._used = np.zeros((BLOCK, self._width)), 0
 
+    def forget(self) -> None:
+        """Drop all ticks and events: for a loop that runs for days. Phase codes stay; rows handed out stay valid."""
+        self.events.clear()
+        self._full, self._used = [], 0
+        self._block = np.zeros((BLOCK, self._width))
+        self._joined = self._block[:0]
+
     def note(self, t: float, kind: EventKind, text: str, **data: Any) -> Event:
         """Log one event."""
         event = Event(t, kind, text, data)

@@ -49,10 +49,12 @@ class Check(msgspec.Struct, frozen=True):
 GONE, CONTINUED, RESUMED, TWO_STEP, RESTART = Clears
 
 CHECKS: tuple[Check, ...] = (
-    Check("state_missed", C.STATE_MISSED, Rung.WARN, Cause.TIMING, "joint states were lost on the way"),
+    Check("state_missed", C.STATE_MISSED, Rung.WARN, Cause.TIMING, "joint states were lost on the way",
+          release=1.0),
     Check("state_repeated", C.STATE_REPEATED, Rung.WARN, Cause.TIMING, "the same joint state came again"),
-    Check("tick_overrun", C.TICK_OVERRUN, Rung.WARN, Cause.TIMING, "a control tick took longer than its period"),
-    Check("command_late", C.COMMAND_LATE, Rung.WARN, Cause.TIMING, "a command left late in its period"),
+    Check("tick_overrun", C.TICK_OVERRUN, Rung.WARN, Cause.TIMING, "a control tick took longer than its period",
+          release=1.0),
+    Check("command_late", C.COMMAND_LATE, Rung.WARN, Cause.TIMING, "a command left late in its period", release=1.0),
     Check("frames_refused", C.FRAMES_REFUSED, Rung.WARN, Cause.CORTEX,
           "a message was refused: form, signature, order", release=0.5),
     Check("infeasible_briefly", C.INFEASIBLE, Rung.WARN, Cause.FILTER,

@@ -1,0 +1,85 @@
+"""What goes over the wire between the gatekeeper and the robot: one packet a message, joint states at the robot's beat.
+
+The simulated robot is a process of its own, as a real one is a machine of its own: it goes on when the gatekeeper dies,
+and its own watchdog then switches its drive off.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.records import Judgement, Scene
+
+
+class Packet(msgspec.Struct, frozen=True, array_like=True):
+    """Root of the packets."""
+
+
+class Write(Packet, frozen=True, tag=1):
+    """Joint velocity [rad/s], opening [m each], grip force [N]."""
+
+    u: tuple[float, ...]
+    opening: float
+    force: float
+
+
+class Switch(Packet, frozen=True, tag=2):
+    """Drive on or off."""
+
+    on: bool
+
+
+class Allow(Packet, frozen=True, tag=3):
+    """For the monitor: the phase that runs, and what it is about."""
+
+    phase: str
+    roles: dict[str, str | None]
+
+
+class Begin(Packet, frozen=True, tag=4):
+    """For the referee: the contract that was accepted."""
+
+    contract: Contract
+
+
+class Judge(Packet, frozen=True, tag=5):
+    """Ask for the judgement on truth."""
+
+
+class Quit(Packet, frozen=True, tag=6):
+    """The robot may be switched off."""
+
+
+class State(Packet, frozen=True, tag=7):
+    """A joint state as `RobotState`."""
+
+    stamp: float
+    sequence: int
+    q: tuple[float, ...]
+    v: tuple[float, ...]
+    opening: float
+    forces: tuple[float, float]
+    driven: bool
+
+
+class Seen(Packet, frozen=True, tag=8):
+    """A perceived scene."""
+
+    scene: Scene
+
+
+class Judged(Packet, frozen=True, tag=9):
+    """What truth says."""
+
+    judgement: Judgement
+
+
+ToRobot = Write | Switch | Allow | Begin | Judge | Quit
+FromRobot = State | Seen | Judged
+PACKET = 256 * 1024
+"""Longest packet [bytes]."""
+
+encode = msgspec.msgpack.Encoder().encode
+to_robot = msgspec.msgpack.Decoder(ToRobot).decode
+from_robot = msgspec.msgpack.Decoder(FromRobot).decode

@@ -1,0 +1,66 @@
+"""What a principal may ask for: skills, narrower bounds than the registry's, and how often.
+
+    a ∧ b = (skills of both, the intersection of every interval, the lower rate, the earlier end)
+
+Delegation is ∧ and nothing else: it is commutative, associative and idempotent, and never allows what one side refuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.verdict import Rejected
+
+Interval = tuple[float, float]
+
+
+class Capability(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """`bounds` narrows numbers by "skill.parameter"; `rate` [contracts per minute]; good until `expires` [s]."""
+
+    skills: frozenset[str]
+    bounds: dict[str, Interval] = {}
+    rate: float = 60.0
+    expires: float = inf
+
+    def narrowed(self, other: Capability) -> Capability:
+        """What both allow; an empty interval allows no number at all."""
+        names = {*self.bounds, *other.bounds}
+        return Capability(
+            self.skills & other.skills,
+            {name: _both(self.bounds.get(name, EVERYTHING), other.bounds.get(name, EVERYTHING)) for name in names},
+            min(self.rate, other.rate),
+            min(self.expires, other.expires),
+        )
+
+    def refusal(self, contract: Contract) -> Rejected | None:
+        """The first number of `contract` outside these bounds; the skills are the gate's own stage."""
+        for index, action in enumerate(contract.action_sequence):
+            for name, value in action.params.items():
+                low, high = self.bounds.get(f"{action.skill}.{name}", EVERYTHING)
+                if isinstance(value, float) and not low <= value <= high:
+                    pointer = f"/action_sequence/{index}/params/{name}"
+                    hint = "outside what this principal was granted"
+                    return Rejected("envelope", pointer, value, {"lower": low, "upper": high}, hint)
+        return None
+
+
+EVERYTHING: Interval = (-inf, inf)
+
+
+def _both(one: Interval, other: Interval) -> Interval:
+    return (max(one[0], other[0]), min(one[1], other[1]))
+
+
+def full(registry: Registry) -> Capability:
+    """Every registered skill, within the registry's own bounds."""
+    return Capability(frozenset(skill.name for skill in registry.skills))
+
+
+def granted(capabilities: Mapping[str, Capability]) -> dict[str, frozenset[str]]:
+    """The grants as the gate's authorization stage reads them."""
+    return {principal: capability.skills for principal, capability in capabilities.items()}

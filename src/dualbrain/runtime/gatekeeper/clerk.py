@@ -1,0 +1,108 @@
+"""The clerk: all three stages of the gate, on a thread of its own with a limb of its own, so that no tick waits for it.
+
+It judges what it is handed (raw bytes, and the scene, posture and grip of that moment) and never touches the robot.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from queue import Queue
+from threading import Thread
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.verdict import Rejected, Verdict
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import RobotState
+from dualbrain.records import Scene
+from dualbrain.runtime.gatekeeper.capability import Capability, granted
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.vocabulary import scene_names, vocabulary
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Holding, Senses
+
+
+class Case(msgspec.Struct, frozen=True):
+    """A contract to be judged, as it came, and what the robot was like when it came."""
+
+    peer: int
+    sequence: int
+    contract: bytes
+    stamp: Stamp
+    now: float
+    scene: Scene
+    state: RobotState
+    holding: Holding | None
+
+
+class Ruling(msgspec.Struct, frozen=True):
+    """What the gate says of a case, and how long it took [s]."""
+
+    case: Case
+    verdict: Verdict
+    seconds: float
+
+
+class Clerk:
+    """Hand cases in with `submit`, take rulings out with `ruling`; at most one case at a time."""
+
+    def __init__(self, body: Body, capabilities: Mapping[str, Capability]) -> None:
+        """Open the gate; the thread ends with the process."""
+        self.registry = registry = vocabulary(body.name)
+        self._safety = SafetyFilter(body)
+        self._limb = Limb(body, self._safety)
+        self._capabilities = dict(capabilities)
+        self._gate = Gate(registry, granted(capabilities), ())
+        self._cases: Queue[Case | None] = Queue(2)
+        self._rulings: Queue[Ruling] = Queue()
+        self.busy = False
+        self._thread = Thread(target=self._work, name="clerk", daemon=True)
+        self._thread.start()
+
+    def submit(self, case: Case) -> bool:
+        """Take a case; False while there is another."""
+        if self.busy:
+            return False
+        self.busy = True
+        self._cases.put(case)
+        return True
+
+    def ruling(self) -> Ruling | None:
+        """The ruling that is ready, if one is."""
+        if not self.busy or self._rulings.empty():
+            return None
+        self.busy = False
+        return self._rulings.get()
+
+    def close(self) -> None:
+        """End the thread once it has judged what it has."""
+        self._cases.put(None)
+        self._thread.join(timeout=5.0)
+
+    def _work(self) -> None:
+        while (case := self._cases.get()) is not None:
+            start = time.monotonic()
+            self._rulings.put(Ruling(case, self._judge(case), time.monotonic() - start))
+
+    def _judge(self, case: Case) -> Verdict:
+        try:
+            limb, principal = self._limb, case.stamp.principal
+            limb.holding = case.holding
+            limb.sense(Senses(case.state, case.scene, case.now, self._safety.tool(case.state.q)))
+            capability = self._capabilities[principal]
+
+            def against_scene(contract: Contract) -> Rejected | None:
+                rules = (capability.refusal, *scene_rules(case.scene, limb))
+                return next((refusal for rule in rules if (refusal := rule(contract))), None)
+
+            self._gate.rules = (against_scene,)
+            return self._gate.check(
+                case.contract, names=scene_names(case.scene), principal=principal, now=case.now, stamp=case.stamp
+            )
+        except Exception as error:  # what cannot be judged is not accepted
+            return Rejected("envelope", "", f"{type(error).__name__}: {error}"[:200], "a verdict", "the gate failed")

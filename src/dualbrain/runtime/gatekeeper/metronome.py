@@ -1,0 +1,108 @@
+"""How punctual the control tick is: intervals, work and latency of every tick, as conditions and as histograms."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.safety.condition import Condition
+from dualbrain.safety.timing import Timing
+
+BIN, BINS = 2e-5, 1000
+"""Histograms: bins of 20 µs up to 20 ms; the last bin holds what is beyond."""
+WINDOW = 1000
+WARM_UP = 200
+"""Ticks at the start of which nothing is held against anybody."""
+
+
+class Punctuality(msgspec.Struct, frozen=True):
+    """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
+
+    `missed` states never came; `bins` are counts of intervals by 20 µs.
+    """
+
+    ticks: int
+    missed: int
+    late: int
+    interval: tuple[float, float, float, float]
+    work: tuple[float, float, float, float]
+    latency: tuple[float, float, float, float]
+    bins: tuple[int, ...]
+
+
+class Metronome:
+    """Told of each state's arrival, each command's leaving and each tick's end; all times monotonic [s]."""
+
+    def __init__(self, timing: Timing) -> None:
+        """Nothing has happened yet."""
+        self._timing = timing
+        self._counts = {name: np.zeros(BINS, np.int64) for name in ("interval", "work", "latency")}
+        self._worst = dict.fromkeys(self._counts, 0.0)
+        self._arrived: float | None = None
+        self._sent = True
+        self._recent: deque[bool] = deque(maxlen=WINDOW)
+        self._late = self._overruns = 0
+        self._ticks = self.missed = 0
+        self._flags = 0
+
+    def arrived(self, now: float, lost: int) -> None:
+        """A state came, and `lost` before it never did."""
+        if self._arrived is not None:
+            gap = now - self._arrived
+            self._count("interval", gap)
+            if gap > self._timing.lost and self._ticks > WARM_UP:
+                self._flags |= Condition.TICK_LOST
+        self._arrived, self._sent = now, False
+        self._ticks += 1
+        self.missed += lost if self._ticks > WARM_UP else 0
+
+    def sent(self, now: float) -> None:
+        """The command that answers the last state leaves."""
+        if self._arrived is None or self._sent:
+            return
+        self._sent = True
+        latency = now - self._arrived
+        self._count("latency", latency)
+        if latency > self._timing.late:
+            self._flags |= Condition.COMMAND_LATE
+
+    def ended(self, now: float) -> None:
+        """All work of the tick is done."""
+        if self._arrived is None:
+            return
+        work = now - self._arrived
+        self._count("work", work)
+        late = work > self._timing.overrun and self._ticks > WARM_UP
+        self._overruns += late - (self._recent[0] if len(self._recent) == WINDOW else False)
+        self._recent.append(late)
+        if late:
+            self._late += 1
+            self._flags |= Condition.TICK_OVERRUN
+        if self._overruns > self._timing.overruns * WINDOW:
+            self._flags |= Condition.TICKS_OVERRUN
+
+    def flags(self) -> int:
+        """`Condition` bits since the last call."""
+        flags, self._flags = self._flags, 0
+        return flags
+
+    def summary(self) -> Punctuality:
+        """Everything so far."""
+        quantiles = {name: self._percentiles(name) for name in self._counts}
+        bins = tuple(self._counts["interval"].tolist())
+        return Punctuality(self._ticks, self.missed, self._late, **quantiles, bins=bins)
+
+    def _count(self, name: str, value: float) -> None:
+        self._counts[name][min(int(value / BIN), BINS - 1)] += 1
+        self._worst[name] = max(self._worst[name], value)
+
+    def _percentiles(self, name: str) -> tuple[float, float, float, float]:
+        counts: NDArray[np.int64] = self._counts[name]
+        total = np.cumsum(counts)
+        if not total[-1]:
+            return (0.0, 0.0, 0.0, 0.0)
+        p50, p99, p999 = (float((np.searchsorted(total, share * total[-1]) + 1) * BIN) for share in (0.5, 0.99, 0.999))
+        return (p50, p99, p999, self._worst[name])

@@ -1,0 +1,198 @@
+"""The simulated robot as a process: physics at 1 kHz of real time, a watchdog of its own, perception at its own rate.
+
+    python -m dualbrain.runtime.gatekeeper.robot_process FD        (one line of settings on standard input)
+
+When no command has come for `WATCHDOG` seconds, or the link is gone, the drive goes off and the brakes engage. Without
+a link it goes on for `AFTERMATH` seconds, so that what happens then is judged too, and leaves its report.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import Command
+from dualbrain.records import Judgement
+from dualbrain.runtime.gatekeeper import bus
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.world.task import goal_of
+
+WATCHDOG = 0.05
+"""No command for this long [s]: the drive goes off."""
+AFTERMATH = 1.0
+BEHIND = 0.1
+"""When physics falls this far behind the clock [s], it goes on from there instead of racing after it."""
+LOOK_EVERY = 33
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What the robot process needs to know; `report` is written at the end ("" for none)."""
+
+    robot: str
+    scene: SceneSpec
+    seed: int = 0
+    goal: str = ""
+    report: str = ""
+
+
+class Report(msgspec.Struct, frozen=True):
+    """What is left of a robot: times [s of CLOCK_MONOTONIC], how long and how far it still moved, what truth says.
+
+    `silent_at`: the last command came; `off_at`: the drive went off; `travel` [rad] since then; `speed` [rad/s] at the
+    end; `slips`: how often physics fell behind.
+    """
+
+    silent_at: float
+    off_at: float | None
+    off_by: str
+    travel: float
+    speed: float
+    slips: int
+    ticks: int
+    judgement: Judgement
+
+
+class RobotProcess:
+    """Plant, perception, monitor and watchdog on one end of the wire."""
+
+    def __init__(self, settings: Settings, link: socket.socket) -> None:
+        """Build the world; nothing moves yet."""
+        body, spec = load_body(settings.robot), settings.scene
+        self.plant = Plant(spec, body)
+        perception = Perception(spec, Noise(), np.random.default_rng([settings.seed, 1]))
+        self.world = SimulatedWorld(
+            self.plant, perception, goal=goal_of(settings.goal, spec) if settings.goal else None
+        )
+        self._link, self._settings, self._period = link, settings, body.period
+        self._open, self._asked_to_quit = True, False
+        self._silent_at = time.monotonic()
+        self._off_at: float | None = None
+        self._off_by, self._off_q = "", self.plant.read().q
+        self._slips = self._ticks = 0
+
+    def serve(self) -> None:
+        """Run until told to quit or, without a link, until the aftermath is over."""
+        due = time.monotonic()
+        while not self._asked_to_quit and (self._open or time.monotonic() - self._silent_at < AFTERMATH):
+            self._hear()
+            self._guard(time.monotonic())
+            self._tick()
+            due += self._period
+            ahead = due - time.monotonic()
+            if ahead > 0.0:
+                self._wait(ahead, due)
+            elif ahead < -BEHIND:
+                due, self._slips = time.monotonic(), self._slips + 1
+        self._leave()
+
+    def _tick(self) -> None:
+        self.world.advance()
+        state = self.plant.read()
+        self._send(
+            bus.State(
+                state.stamp, state.sequence, tuple(state.q.tolist()), tuple(state.v.tolist()), state.opening,
+                state.finger_forces, state.drive_enabled,
+            )
+        )  # fmt: skip
+        if self._ticks % LOOK_EVERY == 0:
+            self._send(bus.Seen(self.world.look()))
+        self._ticks += 1
+
+    def _wait(self, ahead: float, due: float) -> None:
+        """Until the next tick; a command that comes meanwhile is taken at once."""
+        while ahead > 0.0:
+            if not self._open:
+                time.sleep(ahead)
+            elif select.select((self._link,), (), (), ahead)[0]:
+                self._hear()
+            ahead = due - time.monotonic()
+
+    def _guard(self, now: float) -> None:
+        """The robot's own watchdog; it knows nothing of orders, only of silence."""
+        if self._off_at is None and (not self._open or now - self._silent_at > WATCHDOG):
+            self._cut("watchdog")
+
+    def _cut(self, by: str) -> None:
+        self.plant.stop()
+        if self._off_at is None:
+            self._off_at, self._off_by, self._off_q = time.monotonic(), by, self.plant.read().q
+
+    def _hear(self) -> None:
+        while self._open:
+            try:
+                data = self._link.recv(bus.PACKET)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._open = False
+                return
+            try:
+                self._obey(bus.to_robot(data))
+            except msgspec.DecodeError:
+                self._cut("rubbish")
+
+    def _obey(self, packet: bus.ToRobot) -> None:
+        match packet:
+            case bus.Write(u, opening, force):
+                self._silent_at = time.monotonic()
+                if len(u) == self.plant.body.n and np.isfinite([*u, opening, force]).all():
+                    self.plant.write(Command(np.array(u), opening, force))
+            case bus.Switch(on=False):
+                self._silent_at = time.monotonic()
+                self._cut("order")
+            case bus.Switch():
+                self._silent_at, self._off_at = time.monotonic(), None
+                self.plant.enable()
+            case bus.Allow(phase, roles):
+                self.world.allow(phase, roles)
+            case bus.Begin(contract):
+                self.world.begin(contract)
+            case bus.Judge():
+                self._send(bus.Judged(self.world.judgement()))
+            case bus.Quit():
+                self._asked_to_quit = True
+
+    def _send(self, packet: bus.FromRobot) -> None:
+        """A packet that does not go at once is lost, as on a real bus."""
+        try:
+            if self._open:
+                self._link.send(bus.encode(packet))
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._open = False
+
+    def _leave(self) -> None:
+        if not self._settings.report:
+            return
+        state = self.plant.read()
+        report = Report(
+            self._silent_at, self._off_at, self._off_by, float(np.abs(state.q - self._off_q).max()),
+            float(np.abs(state.v).max()), self._slips, self._ticks, self.world.judgement(),
+        )  # fmt: skip
+        Path(self._settings.report).write_bytes(msgspec.json.encode(report))
+
+
+def main(arguments: list[str]) -> None:
+    """Serve on the inherited socket."""
+    link = socket.socket(fileno=int(arguments[0]))
+    link.setblocking(False)
+    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
+    RobotProcess(settings, link).serve()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,137 @@
+"""Putting a gatekeeper together: settings, robot, door, keys; and starting one as a process of its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+
+import msgspec
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.errors import InvalidSetup
+from dualbrain.runtime.gatekeeper.capability import Capability, full
+from dualbrain.runtime.gatekeeper.door import Door
+from dualbrain.runtime.gatekeeper.keeper import Gatekeeper
+from dualbrain.runtime.gatekeeper.metronome import Punctuality
+from dualbrain.runtime.gatekeeper.remote_robot import RemoteRobot
+from dualbrain.runtime.gatekeeper.robot_process import Settings
+from dualbrain.runtime.gatekeeper.seals import open_keys
+from dualbrain.runtime.recorder import Recorder
+from dualbrain.runtime.trace import Trace
+from dualbrain.runtime.vocabulary import PLANNER, vocabulary
+from dualbrain.safety.timing import SIMULATED
+from dualbrain.world.scene_spec import SceneSpec
+
+SWITCH = 1e-4
+"""How long another thread may keep the interpreter from the control tick [s]."""
+START = 60.0
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """What a gatekeeper is to be: which robot in which scene, where it listens, what it writes ("" for nothing).
+
+    `capability` narrows what the planner may ask for; `stage` is the speed to begin with. `report` and `punctuality`
+    are files that the robot and the gatekeeper leave at their end.
+    """
+
+    robot: str
+    scene: SceneSpec
+    socket: str
+    keys: str
+    seed: int = 0
+    goal: str = ""
+    stage: float = 1.0
+    capability: Capability | None = None
+    recording: str = ""
+    instruction: str = ""
+    report: str = ""
+    punctuality: str = ""
+
+
+def keep(plan: Plan) -> Punctuality:
+    """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was."""
+    sys.setswitchinterval(SWITCH)
+    _ask_for_real_time()
+    body, keys = load_body(plan.robot), open_keys(Path(plan.keys))
+    capability = full(vocabulary(plan.robot))
+    if plan.capability is not None:
+        capability = capability.narrowed(plan.capability)
+    door = Door(Path(plan.socket))
+    robot: RemoteRobot | None = None
+    recorder: Recorder | None = None
+    try:
+        settings = Settings(plan.robot, plan.scene, plan.seed, plan.goal, plan.report)
+        robot = RemoteRobot(settings, SIMULATED)
+        trace = Trace(body.n)
+        if plan.recording:
+            recorder = Recorder(Path(plan.recording), trace)
+            recorder.episode(0.0, {"robot": plan.robot, "guard": True, "instruction": plan.instruction})
+        keeper = Gatekeeper(
+            body, robot, door, keys, {PLANNER: capability}, timing=SIMULATED, recorder=recorder, trace=trace,
+            stage=plan.stage,
+        )  # fmt: skip
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            del number, frame
+            keeper.shut_down()
+
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, stop)
+        keeper.run()
+        punctuality = robot.metronome.summary()
+        if plan.punctuality:
+            Path(plan.punctuality).write_bytes(msgspec.json.encode(punctuality))
+        return punctuality
+    finally:
+        if robot is not None:
+            robot.close()
+        if recorder is not None:
+            recorder.close()
+        door.close()
+
+
+class Process:
+    """A gatekeeper as a child process."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Start it and wait until it listens; raises `InvalidSetup` if it does not come up."""
+        flags = ["-S"] if sys.flags.no_site else []
+        self.plan = plan
+        self.process = subprocess.Popen(
+            [sys.executable, *flags, "-m", "dualbrain.runtime.gatekeeper.spawn"], stdin=subprocess.PIPE,
+            start_new_session=True,
+        )  # fmt: skip
+        if self.process.stdin:
+            self.process.stdin.write(msgspec.json.encode(plan))
+            self.process.stdin.close()
+        deadline = time.monotonic() + START
+        while not Path(plan.socket).exists() and self.process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+        if not Path(plan.socket).exists():
+            raise InvalidSetup("gatekeeper", got=f"exit code {self.process.poll()}", allowed="one that comes up")
+
+    def stop(self) -> None:
+        """Ask it to brake and leave; insist if it does not."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(timeout=15.0)
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+
+def _ask_for_real_time() -> None:
+    """A real-time priority where the system grants one; where it does not, the histogram tells."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+
+
+if __name__ == "__main__":
+    keep(msgspec.json.decode(sys.stdin.buffer.read(), type=Plan))
