@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 
 LONGEST = 300.0
 """An action that has not ended by itself after this long [s] is taken over: people may come by again and again."""
+CLEARING = 0.8
+"""A new contract waits this long [s] for the conditions of an earlier stop to be gone."""
 LET_GO = 0.5
 """For this long after it was let go a thing is believed to fall and roll [s]."""
 INTERRUPTED = "interrupted by a person"
@@ -152,8 +154,7 @@ class LocalLayer:
         """
         first = len(self.log.trace)
         self._attended.clear()
-        if self.spine.order.action >= Rung.CONTROLLED_STOP:
-            self._continue()
+        self._continue()
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
         for index, action in enumerate(contract.action_sequence):
@@ -175,10 +176,13 @@ class LocalLayer:
         return "succeeded"
 
     def _continue(self) -> None:
-        """A new contract leads out of a controlled stop whose condition is gone; not out of what needs a person."""
-        self.spine.flag(Condition.CONTINUE)
-        self._rest("continue", IDLE)
-        self._rest("continue", IDLE)
+        """A new contract leads out of a stop whose condition is gone; not out of what needs a person."""
+        for tick in range(round(CLEARING / self.body.period)):
+            if not self.spine.ending:
+                return
+            if tick % 2 == 0:  # pressed anew, as it counts only once the condition is gone
+                self.spine.flag(Condition.CONTINUE)
+            self._rest("continue", IDLE)
 
     def _settle(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
         """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already."""

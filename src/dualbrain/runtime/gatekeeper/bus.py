@@ -81,5 +81,6 @@ PACKET = 256 * 1024
 """Longest packet [bytes]."""
 
 encode = msgspec.msgpack.Encoder().encode
-to_robot = msgspec.msgpack.Decoder(ToRobot).decode
-from_robot = msgspec.msgpack.Decoder(FromRobot).decode
+_to_robot: msgspec.msgpack.Decoder[ToRobot] = msgspec.msgpack.Decoder(ToRobot)
+_from_robot: msgspec.msgpack.Decoder[FromRobot] = msgspec.msgpack.Decoder(FromRobot)
+to_robot, from_robot = _to_robot.decode, _from_robot.decode

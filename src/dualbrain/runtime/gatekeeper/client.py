@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Event as Signal
@@ -70,6 +71,7 @@ class GatekeeperLink:
         try:
             self._link.connect(str(path))
         except OSError as error:
+            self._link.close()
             raise InvalidSetup(
                 "gatekeeper",
                 got=error.strerror,
@@ -83,14 +85,23 @@ class GatekeeperLink:
         self.lost = Signal()
         self.why = ""
         self._skew = 0.0
+        self.nonce = b""
         Thread(target=self._listen, name="gatekeeper link", daemon=True).start()
-        self.nonce = self.expect(Challenge).nonce
-        proof = prove(self._secret, self.nonce, principal) if principal else b""
-        self.say(Hello(principal=principal, proof=proof, watch=watch is not None))
-        self.welcome = self.expect(Welcome)
+        try:
+            self.welcome = self._introduce(principal)
+        except LinkLost:
+            self.close()
+            raise
         self._skew = self.welcome.now - time.monotonic()
         if self.welcome.role == "commander":
             Thread(target=self._beat, name="heartbeat", daemon=True).start()
+
+    def _introduce(self, principal: str) -> Welcome:
+        """Answer the challenge."""
+        self.nonce = self.expect(Challenge).nonce
+        proof = prove(self._secret, self.nonce, principal) if principal else b""
+        self.say(Hello(principal=principal, proof=proof, watch=self._watch is not None))
+        return self.expect(Welcome)
 
     @property
     def now(self) -> float:
@@ -141,6 +152,8 @@ class GatekeeperLink:
     def close(self) -> None:
         """Hang up."""
         self.lost.set()
+        with suppress(OSError):
+            self._link.shutdown(socket.SHUT_RDWR)
         self._link.close()
 
     def _any(self, *kinds: type[M], timeout: float | None = PATIENCE) -> M:

@@ -1,7 +1,7 @@
 """The door: a Unix socket that only its owner can open, read a little in every tick, without ever waiting.
 
-Each tick every peer gets the same small budget of bytes and frames, in turn. A peer that sends more frames a second than
-it may is shut out; what it had sent is thrown away. So a flood costs a tick a bounded time and memory stays bounded.
+Each tick every peer gets the same small budget of bytes and frames, in turn. A peer that sends more frames a second
+than it may is shut out; what it had sent is thrown away. So a flood costs a tick a bounded time, and memory is bounded.
 """
 
 from __future__ import annotations

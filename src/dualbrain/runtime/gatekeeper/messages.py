@@ -146,7 +146,7 @@ class Refused(Message, frozen=True):
 
 UPWARD: tuple[type[Message], ...] = (Hello, Heartbeat, Propose, Operate, Look)
 DOWNWARD: tuple[type[Message], ...] = (Challenge, Welcome, Beat, Answer, Ended, Sight, News, Glimpse, Refused)
-_KIND = {kind: code for code, kind in enumerate((*UPWARD, *DOWNWARD), start=1)}
+_KIND: dict[type[Message], int] = {kind: code for code, kind in enumerate((*UPWARD, *DOWNWARD), start=1)}
 _DECODERS = {code: msgspec.msgpack.Decoder(kind, strict=True) for kind, code in _KIND.items()}
 _ENCODER = msgspec.msgpack.Encoder()
 HIGHEST_UPWARD = len(UPWARD)

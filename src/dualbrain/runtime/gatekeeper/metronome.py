@@ -101,8 +101,9 @@ class Metronome:
 
     def _percentiles(self, name: str) -> tuple[float, float, float, float]:
         counts: NDArray[np.int64] = self._counts[name]
-        total = np.cumsum(counts)
-        if not total[-1]:
+        total: NDArray[np.int64] = np.cumsum(counts)
+        count = int(total[-1])
+        if not count:
             return (0.0, 0.0, 0.0, 0.0)
-        p50, p99, p999 = (float((np.searchsorted(total, share * total[-1]) + 1) * BIN) for share in (0.5, 0.99, 0.999))
+        p50, p99, p999 = (BIN * (1 + int(np.searchsorted(total, share * count))) for share in (0.5, 0.99, 0.999))
         return (p50, p99, p999, self._worst[name])

@@ -1,4 +1,4 @@
-"""The gatekeeper's end of the wire: a robot and its surroundings, whose joint states beat the time of the control tick."""
+"""The gatekeeper's end of the wire: a robot and its surroundings, whose joint states beat the control tick's time."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -155,7 +156,7 @@ class RemoteRobot:
             if not data:
                 time.sleep(self._timing.period)  # a dead robot beats no time
                 return False
-            packet = bus.from_robot(data)
+            packet: bus.FromRobot = bus.from_robot(data)
             match packet:
                 case bus.State():
                     self._take(packet)
@@ -174,10 +175,8 @@ class RemoteRobot:
 
     def _send(self, packet: bus.ToRobot) -> None:
         """A packet that does not go at once is lost; the robot's watchdog counts them."""
-        try:
+        with suppress(OSError):
             self._link.send(bus.encode(packet))
-        except OSError:
-            pass
 
 
 def _flags() -> list[str]:

@@ -28,7 +28,7 @@ from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
 from dualbrain.world.task import goal_of
 
-WATCHDOG = 0.05
+WATCHDOG = 0.1
 """No command for this long [s]: the drive goes off."""
 AFTERMATH = 1.0
 BEHIND = 0.1

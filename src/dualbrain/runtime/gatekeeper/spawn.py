@@ -108,7 +108,7 @@ class Process:
             start_new_session=True,
         )  # fmt: skip
         if self.process.stdin:
-            self.process.stdin.write(msgspec.json.encode(plan))
+            self.process.stdin.write(msgspec.msgpack.encode(plan))
             self.process.stdin.close()
         deadline = time.monotonic() + START
         while not Path(plan.socket).exists() and self.process.poll() is None and time.monotonic() < deadline:
@@ -134,4 +134,4 @@ def _ask_for_real_time() -> None:
 
 
 if __name__ == "__main__":
-    keep(msgspec.json.decode(sys.stdin.buffer.read(), type=Plan))
+    keep(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Plan))
