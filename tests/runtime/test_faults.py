@@ -119,7 +119,7 @@ def test_a_rule_that_raises_refuses():
 
 
 def test_what_moved_is_on_record_even_when_memory_cannot_take_it(tmp_path, monkeypatch):
-    def full(self, episode, state, *, now):
+    def full(self, episode, state, **more):
         raise OSError("no space left")
 
     monkeypatch.setattr(Memory, "store", full)

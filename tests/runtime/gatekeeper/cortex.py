@@ -52,12 +52,14 @@ def rubbish(link):
 def main(path, keys, how):
     link = GatekeeperLink(Path(path), open_keys(Path(keys)), "planner")
     link.propose(contract(), link.look().scene.version)
-    print("running", flush=True)
+    sys.stdout.write("running\n")
+    sys.stdout.flush()
     line = sys.stdin.readline()
     assert line
     if how in ("flood", "rubbish"):
         {"flood": flood, "rubbish": rubbish}[how](link)
-        print("done", flush=True)
+        sys.stdout.write("done\n")
+        sys.stdout.flush()
     time.sleep(60.0)
 
 

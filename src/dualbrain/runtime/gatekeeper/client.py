@@ -63,8 +63,8 @@ class GatekeeperLink:
     ) -> None:
         """Connect and say who we are; without a principal one may only look, and press the emergency stop.
 
-        Raises `InvalidSetup` when nobody listens, `LinkLost` when we are not let in. `watch` is given news and glimpses,
-        on the reading thread.
+        Raises `InvalidSetup` when nobody listens, `LinkLost` when we are not let in. `watch` is given news and
+        glimpses, on the reading thread.
         """
         self._watch = watch
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
