@@ -69,7 +69,7 @@ def fly(
 
     The filter is on unless `guard` is False; `watch` sees a moment now and then.
     """
-    body = panda()
+    body = load_body(spec.robot)
     plant = Plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])), goal=goal)
     log = FlightLog(Trace(body.n))

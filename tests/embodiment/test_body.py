@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import Body, Tracking, load_body
+from dualbrain.embodiment.body import BODIES, Body, Tracking, load_body
 from dualbrain.errors import UnknownName
 
 PANDA = load_body("panda")
@@ -17,7 +17,7 @@ def test_the_data_survives_json_unchanged():
 def test_an_unknown_body_is_refused_with_the_closest_name():
     with pytest.raises(UnknownName, match="Closest: 'panda'") as caught:
         load_body("pamda")
-    assert caught.value.known == ("panda",)
+    assert caught.value.known == BODIES
 
 
 def test_every_bound_is_positive_si_and_says_where_it_comes_from():

@@ -5,16 +5,17 @@ from importlib import resources
 import pytest
 
 from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.generate import encode, main
+from dualbrain.embodiment.generate import FACTS, encode, main
 from dualbrain.errors import UnknownName
 
 
-def stored():
-    return resources.files("dualbrain.embodiment").joinpath("data", "panda.json").read_bytes()
+def stored(name="panda"):
+    return resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
 
 
-def test_the_stored_file_is_in_the_form_the_command_writes():
-    assert encode(load_body("panda")) == stored()
+@pytest.mark.parametrize("name", FACTS)
+def test_the_stored_file_is_in_the_form_the_command_writes(name):
+    assert encode(load_body(name)) == stored(name)
 
 
 def test_an_unknown_body_is_refused(tmp_path):

@@ -105,7 +105,13 @@ def test_clearance_is_the_smallest_gap_between_surfaces():
 
 def test_stated_pairs_are_left_out_with_the_stated_reason():
     chosen = choose_pairs(
-        PANDA.joints, PANDA.links, COVER, stated={("link0", "hand"): "why"}, count=50, rng=np.random.default_rng(0)
+        PANDA.joints,
+        PANDA.links,
+        COVER,
+        stated={("link0", "hand"): "why"},
+        count=50,
+        rng=np.random.default_rng(0),
+        opening=0.04,
     )
     assert ("link0", "hand", "why") in chosen.allowed
     assert ("link0", "hand") not in chosen.kept

@@ -17,27 +17,25 @@ from dualbrain.world.perception import EXACT, Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.scenes import make_scene
 
-BODY = load_body("panda")
-
 
 class Bench:
     """A scene, an arm and a local layer, without planner and memory."""
 
-    def __init__(self, family="bare", seed=0, noise=EXACT, ghost=None):
-        self.spec = make_scene(family, seed)
-        self.plant = Plant(self.spec, BODY)
-        self.trace = Trace(BODY.n)
+    def __init__(self, family="bare", seed=0, noise=EXACT, ghost=None, robot="panda"):
+        self.spec, body = make_scene(family, seed, robot), load_body(robot)
+        self.plant = Plant(self.spec, body)
+        self.trace = Trace(body.n)
         world = SimulatedWorld(self.plant, Perception(self.spec, noise, np.random.default_rng(seed)))
         self.world = Ghosts(world, ghost) if ghost else world
         self.monitor = world.monitor
         self.layer = LocalLayer(
-            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), LayerConfig(settle=0.1),
+            body, self.plant, self.world, SafetyFilter(body), FlightLog(self.trace), LayerConfig(settle=0.1),
             phase_changed=world.allow,
         )  # fmt: skip
 
     def run(self, *actions):
         sequence = tuple(Action(skill, params) for skill, params in actions)
-        return self.layer.run(Contract("c-1", Context("panda", ""), sequence))
+        return self.layer.run(Contract("c-1", Context(self.spec.robot, ""), sequence))
 
     def untouched(self):
         """Whether δ was 0 on every tick."""

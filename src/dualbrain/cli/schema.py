@@ -33,7 +33,7 @@ def schema(
     from dualbrain.world.catalogue import open_scene
 
     registry = vocabulary(robot)
-    names = spec_names(open_scene(scene))
+    names = spec_names(open_scene(scene, robot))
     if form == "short":
         from dualbrain.contracts.schema import short_form
 

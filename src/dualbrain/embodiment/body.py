@@ -13,7 +13,7 @@ from dualbrain.errors import UnknownName
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-BODIES = ("panda",)
+BODIES = ("panda", "ur5e")
 
 
 class Bound(msgspec.Struct, frozen=True):

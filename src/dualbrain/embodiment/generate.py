@@ -10,13 +10,28 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment import panda
-from dualbrain.embodiment.body import BODIES, Body, BodySphere, Vector, encode, load_body
-from dualbrain.embodiment.meshes import collision_mesh
+from dualbrain.embodiment import panda, ur5e
+from dualbrain.embodiment.body import (
+    BODIES,
+    Body,
+    BodySphere,
+    Bound,
+    Gripper,
+    Joint,
+    Link,
+    Tool,
+    Tracking,
+    Vector,
+    encode,
+    load_body,
+)
+from dualbrain.embodiment.cover_problem import LinkCover
+from dualbrain.embodiment.meshes import Mesh
 from dualbrain.embodiment.self_pairs import choose_pairs
 from dualbrain.embodiment.sphere_cover import Balls, measure_excess
 from dualbrain.embodiment.sphere_fit import FitOptions, fit_cover
@@ -25,46 +40,90 @@ from dualbrain.errors import UnknownName
 Tell = Callable[[str], None]
 
 CONFIGURATIONS = 100_000
+UNKNOWN = Tracking(0.002, 0.01, 3.0, "a guess: run `dualbrain robot identify`")
+"""What a body starts with that nobody has driven yet."""
 
 
-def make_panda(seed: int, options: FitOptions, configurations: int, tell: Tell) -> Body:
-    """The Panda with its hand: facts of panda.py, spheres fitted to the meshes, pairs chosen by sampling."""
-    known = load_body("panda")
-    cover = fit_panda(seed, options, tell)
-    joints, links = panda.joints(), panda.links()
+class Facts(Protocol):
+    """A module of facts about one body, written by hand: `panda.py` and its like."""
+
+    SOURCE: str
+    LICENCE: str
+    COVER: dict[str, tuple[LinkCover, ...]]
+    STATED_PAIRS: dict[tuple[str, str], str]
+    TOOL: Tool
+    GRIPPER: Gripper
+    HOME: tuple[float, ...]
+    PERIOD: float
+    TOOL_SPEED: Bound
+
+    def part(self, name: str) -> Mesh:
+        """One convex part of the cover problem, in its link's frame."""
+        ...
+
+    def mirrored(self, centres: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Ball centres of a right part from those of the left one."""
+        ...
+
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints with limits and the provenance of each."""
+        ...
+
+    def links(self) -> tuple[Link, ...]:
+        """The links."""
+        ...
+
+
+def make(name: str, seed: int, options: FitOptions, configurations: int, tell: Tell) -> Body:
+    """The body called `name`: its facts, spheres fitted to its parts, pairs chosen by sampling."""
+    facts, known = FACTS[name], load_body(name) if name in BODIES else None
+    cover = fit(facts, seed, options, tell)
+    joints, links = facts.joints(), facts.links()
     tell(f"self pairs: {configurations} random configurations")
     rng = np.random.default_rng([seed, len(links)])
-    pairs = choose_pairs(joints, links, cover, stated=panda.STATED_PAIRS, count=configurations, rng=rng)
+    pairs = choose_pairs(
+        joints, links, cover, stated=facts.STATED_PAIRS, count=configurations, rng=rng,
+        opening=facts.GRIPPER.opening.value,
+    )  # fmt: skip
     return Body(
-        name="panda",
-        source=panda.SOURCE,
-        licence=panda.LICENCE,
+        name=name,
+        source=facts.SOURCE,
+        licence=facts.LICENCE,
         joints=joints,
         links=links,
-        spheres=tuple(sphere for name, balls in cover.items() for sphere in _spheres(name, balls)),
+        spheres=tuple(sphere for link, balls in cover.items() for sphere in _spheres(link, balls)),
         self_pairs=pairs,
-        tool=panda.TOOL,
-        gripper=panda.GRIPPER,
-        home=panda.HOME,
-        tracking=known.tracking,
-        period=panda.PERIOD,
-        tool_speed=panda.TOOL_SPEED,
-        other_drives=known.other_drives,
+        tool=facts.TOOL,
+        gripper=facts.GRIPPER,
+        home=facts.HOME,
+        tracking=known.tracking if known else UNKNOWN,
+        period=facts.PERIOD,
+        tool_speed=facts.TOOL_SPEED,
+        other_drives=known.other_drives if known else (),
     )
 
 
-def fit_panda(seed: int, options: FitOptions, tell: Tell) -> dict[str, Balls]:
-    """Balls of every link; each link draws from its own generator, so one link's change leaves the others alone."""
+def fit(facts: Facts, seed: int, options: FitOptions, tell: Tell) -> dict[str, Balls]:
+    """Balls of every link; each part draws from its own generator, so one part's change leaves the others alone."""
     cover: dict[str, Balls] = {}
-    for i, (name, wanted) in enumerate(panda.COVER.items()):
-        mesh = collision_mesh("panda", wanted.mesh)
-        balls = fit_cover(mesh, wanted, np.random.default_rng([seed, i]), options)
-        excess = measure_excess(mesh, balls, 3000, np.random.default_rng([seed, i, 1]))
-        cover[name] = balls
-        tell(f"{name}: {wanted.balls} balls, excess mean {excess.mean * 1e3:.1f} mm, worst {excess.worst * 1e3:.1f} mm")
-    left = cover["left_finger"]
-    cover["right_finger"] = Balls(left.centres * np.array([-1.0, -1.0, 1.0]), left.radii)
+    for i, (name, parts) in enumerate(facts.COVER.items()):
+        fitted = [_fit_part(facts, wanted, [seed, i, *([1 + k] if k else [])], options, tell)
+                  for k, wanted in enumerate(parts)]  # fmt: skip
+        cover[name] = Balls(
+            np.vstack([balls.centres for balls in fitted]), np.concatenate([balls.radii for balls in fitted])
+        )
+        if name.startswith("left_"):
+            cover[name.replace("left_", "right_")] = Balls(facts.mirrored(cover[name].centres), cover[name].radii)
     return cover
+
+
+def _fit_part(facts: Facts, wanted: LinkCover, seed: list[int], options: FitOptions, tell: Tell) -> Balls:
+    mesh = facts.part(wanted.mesh)
+    balls = fit_cover(mesh, wanted, np.random.default_rng(seed), options)
+    excess = measure_excess(mesh, balls, 3000, np.random.default_rng([*seed, 1]))
+    said = f"excess mean {excess.mean * 1e3:.1f} mm, worst {excess.worst * 1e3:.1f} mm"
+    tell(f"{wanted.mesh}: {wanted.balls} balls, {said}")
+    return balls
 
 
 def _spheres(link: str, balls: Balls) -> list[BodySphere]:
@@ -81,19 +140,20 @@ def _vector(values: NDArray[np.float64]) -> Vector:
     return (x, y, z)
 
 
-MAKERS: dict[str, Callable[[int, FitOptions, int, Tell], Body]] = {"panda": make_panda}
+FACTS: dict[str, Facts] = {"panda": panda, "ur5e": ur5e}
+"""To add a body, write its facts and name them here and in `BODIES`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: `panda --out FILE [--seed N]`; progress on stderr."""
     parser = argparse.ArgumentParser(prog="python -m dualbrain.embodiment.generate", description=__doc__)
-    parser.add_argument("body", help=f"one of {', '.join(BODIES)}")
+    parser.add_argument("body", help=f"one of {', '.join(FACTS)}")
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    if asked.body not in MAKERS:
-        raise UnknownName("robot", asked.body, tuple(MAKERS))
-    body = MAKERS[asked.body](asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
+    if asked.body not in FACTS:
+        raise UnknownName("robot", asked.body, tuple(FACTS))
+    body = make(asked.body, asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
     asked.out.write_bytes(encode(body))
     _to_stderr(f"{asked.out}: {len(body.spheres)} spheres, {len(body.self_pairs.kept)} link pairs kept")
     return 0

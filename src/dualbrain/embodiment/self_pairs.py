@@ -90,13 +90,14 @@ def choose_pairs(
     stated: dict[tuple[str, str], str],
     count: int,
     rng: np.random.Generator,
+    opening: float,
 ) -> SelfPairs:
     """Keeps every pair of links that is neither adjacent, nor `stated` as allowed, nor measured to stay apart.
 
     Two links are adjacent when they ride on the same or on consecutive chain frames. The measured reason carries the
-    smallest gap over `count` random configurations with the fingers closed and open.
+    smallest gap over `count` random configurations with the fingers closed and open by `opening` [m] each.
     """
-    least = least_clearances(joints, links, cover, random_configurations(joints, count, rng), (0.0, 0.04))
+    least = least_clearances(joints, links, cover, random_configurations(joints, count, rng), (0.0, opening))
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
     for (a, b), gap in least.items():

@@ -19,7 +19,7 @@ from dualbrain.world.scene_spec import SceneSpec
 def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
     """What the gate says of `data` for `robot` at home in front of `scene`, all three stages and the scene's rules."""
     registry = vocabulary(robot)
-    seen = as_specified(open_scene(scene))
+    seen = as_specified(open_scene(scene, robot))
     limb = limb_at_home(robot, seen)
     gate = Gate(registry, grants(registry), scene_rules(seen, limb))
     return gate.check(data, names=scene_names(seen), principal=PLANNER, now=0.0)

@@ -84,13 +84,13 @@ class Moment:
 class LayerConfig:
     """`guard` False writes the nominal control unfiltered (the paper's B1).
 
-    A look comes every `look_every` ticks, onlookers see every `watch_every`-th; a contract ends with `settle` [s] of
-    rest.
+    A look comes every `look_every` [s], onlookers see a moment every `watch_every` [s]; a contract ends with `settle`
+    [s] of rest.
     """
 
     guard: bool = True
-    look_every: int = 33
-    watch_every: int = 20
+    look_every: float = 0.033
+    watch_every: float = 0.020
     settle: float = 0.6
 
 
@@ -111,6 +111,9 @@ class LocalLayer:
         """
         self.body, self.robot, self.surroundings, self.safety = body, robot, surroundings, safety
         self.log, self.config = log, config
+        self._look_ticks, self._watch_ticks = (
+            max(1, round(every / body.period)) for every in (config.look_every, config.watch_every)
+        )
         self.limb = Limb(body, safety)
         self.interrupted, self._asked, self._clock = interrupted, asked, clock
         self.spine = Spine(safety, timing=timing)
@@ -287,7 +290,7 @@ class LocalLayer:
         self.log.tick(
             now, self.state, nominal.u, result, action, nominal.phase, order=order.action, touched=self.spine.touched
         )  # fmt: skip
-        if self._watch and self._ticks % self.config.watch_every == 0:
+        if self._watch and self._ticks % self._watch_ticks == 0:
             self._watch(Moment(self.state, self.scene, nominal, result, action, self._skill, order))
         self.surroundings.advance()
         self._ticks += 1
@@ -318,7 +321,7 @@ class LocalLayer:
         now = self._clock() if self._clock else state.stamp
         if self.spine.sensed(state, now):
             self.state = state
-        if self._ticks % self.config.look_every == 0:
+        if self._ticks % self._look_ticks == 0:
             self._look()
         self.spine.flag(self._eye.age(self.scene, now))
         self.limb.sense(self._senses())

@@ -47,16 +47,16 @@ def _decline_alone(contract: Contract) -> Rejected | None:
 
 
 def _hand_order(contract: Contract, limb: Limb) -> Rejected | None:
-    """A grasp needs an empty hand, a place a full one."""
+    """A grasp and a push need an empty hand, a place a full one."""
     full = limb.holding is not None
     for index, action in enumerate(contract.action_sequence):
         pointer = f"/action_sequence/{index}/skill"
-        if action.skill == "grasp":
+        if action.skill in ("grasp", "push"):
             if full:
                 return Rejected(
-                    "envelope", pointer, "grasp", ["place", "release"], "the hand is full: place or release first"
+                    "envelope", pointer, action.skill, ["place", "release"], "the hand is full: place or release first"
                 )
-            full = True
+            full = action.skill == "grasp"
         elif action.skill == "place":
             if not full:
                 return Rejected("envelope", pointer, "place", ["grasp"], "nothing is held: grasp something first")

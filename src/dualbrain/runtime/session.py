@@ -136,7 +136,7 @@ class Session:
         config = self.config
         _check_folder(config.out)
         self.body = load_body(config.robot)
-        self.spec = open_scene(config.scene)
+        self.spec = open_scene(config.scene, config.robot)
         goal = goal_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
         self._eyes = ImageEncoder(weights.locate(IMAGE_WEIGHTS, config.cache)) if config.eyes else None

@@ -16,6 +16,7 @@ WATCH_EVERY = 50
 
 ALLOWANCES = {
     "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release",
+    "push": "push",
     "retreat": "retreat",
 }  # fmt: skip
 """What the monitor calls the phases of our skills in which something may be touched."""
@@ -47,8 +48,9 @@ class SimulatedWorld:
 
     def advance(self) -> None:
         """One control period of physics, under the monitor's eyes."""
-        self.plant.advance()
-        self.monitor.tick()
+        for _ in range(self.plant.steps):
+            self.plant.step()
+            self.monitor.tick()
         self._ticks += 1
         if self._referee and self._ticks % WATCH_EVERY == 0:
             self._referee.watch()

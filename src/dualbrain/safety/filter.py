@@ -236,9 +236,9 @@ class SafetyFilter:
 
 
 def _parts(body: Body) -> dict[str, tuple[int, ...]]:
-    """Link indices behind every name that a permit may use: groups, links, and the held thing."""
-    parts = {
+    """Link indices behind every name that a permit may use: links, groups (they win over links), what is held."""
+    parts: dict[str, tuple[int, ...]] = {link.name: (i,) for i, link in enumerate(body.links)}
+    parts |= {
         link.group: tuple(i for i, other in enumerate(body.links) if other.group == link.group) for link in body.links
     }
-    parts |= {link.name: (i,) for i, link in enumerate(body.links)}
     return parts | {HELD: (len(body.links),)}

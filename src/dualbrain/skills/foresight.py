@@ -63,6 +63,7 @@ class Foresight:
     def __init__(self, body: Body, motion: Motion) -> None:
         """Bind to the body and to the local layer's kinematics."""
         self._motion = motion
+        self._redundant = body.n > 6
         self._lower = np.array([joint.lower.value for joint in body.joints])
         self._upper = np.array([joint.upper.value for joint in body.joints])
         frames = [link.frame for link in body.links for sphere in body.spheres if sphere.link == link.name]
@@ -108,7 +109,7 @@ class Foresight:
             if ahead < 0.25 * STRIDE:
                 break
             share = min(1.0, STRIDE / ahead)
-            pull = point.posture - q
+            pull = point.posture - q if self._redundant else np.zeros_like(q)
             pull *= min(1.0, DRIFT * share * ahead / LEVER / (float(np.linalg.norm(pull)) + 1e-9))
             J = tool.jacobian
             twist = share * np.concatenate([move, turn])

@@ -102,3 +102,20 @@ def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Arr
             x: Array = np.cross(y, z).astype(np.float64)
             rotations.append(np.column_stack([x, y, z]))
     return rotations
+
+
+def reach(thing: SceneObject, direction: Array) -> float:
+    """How far `thing` reaches from its middle along the horizontal unit vector `direction` (2,) or (3,) [m]."""
+    ahead, axes = np.array([direction[0], direction[1], 0.0]), matrix(thing.pose.quaternion)
+    lean = abs(float(ahead @ axes[:, 2]))
+    match thing.shape:
+        case Box(half_extents):
+            return float(np.abs(ahead @ axes) @ np.asarray(half_extents))
+        case Sphere(radius) | Bowl(radius, _, _):
+            return radius
+        case Capsule(radius, half_length):
+            return radius + lean * half_length
+        case Cylinder(radius, half_height):
+            return radius * float(np.sqrt(max(0.0, 1.0 - lean * lean))) + lean * half_height
+        case _:
+            return 0.0

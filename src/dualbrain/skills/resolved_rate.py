@@ -26,8 +26,9 @@ class Gains:
     """Shape of the tool's motion.
 
     `position` and `rotation` [1/s] close the pose error, `linear` [m/s²] and `angular` [rad/s²] bound how fast the
-    twist may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint, `damping` [m]
-    keeps the inverse finite at singular poses, `headroom` is the share of the joint velocity limits that φ uses.
+    twist may change, `turn` [rad/s] bounds its rotation, `posture` [1/s] pulls the redundant joint (an arm of six
+    joints has none), `damping` [m] keeps the inverse finite at singular poses, `headroom` is the share of the joint
+    velocity limits that φ uses.
     """
 
     position: float = 5.0
@@ -51,6 +52,7 @@ class ResolvedRate:
         self._u_max = self._gains.headroom * np.array([joint.velocity.value for joint in body.joints])
         self._brake = 0.6 * np.array([joint.acceleration.value for joint in body.joints])
         self._ridge = self._gains.damping**2 * np.eye(6)
+        self._pull = self._gains.posture if body.n > 6 else 0.0
         self._twist = np.zeros(6)
         self._u_nom = self._before = np.zeros(body.n)
 
@@ -105,7 +107,7 @@ class ResolvedRate:
 
     def _resolve(self, state: RobotState, tool: ToolState, posture: Array, now: float) -> Array:
         J = tool.jacobian
-        drift = self._gains.posture * (posture - state.q)
+        drift = self._pull * (posture - state.q)
         drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
         wish = drift + J.T @ np.linalg.solve(J @ J.T + self._ridge, self._twist - J @ drift)
         excess = float(np.max(np.abs(wish) / self._u_max))

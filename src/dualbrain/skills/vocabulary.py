@@ -8,7 +8,7 @@ from types import ModuleType
 from dualbrain.contracts.contract import Value
 from dualbrain.contracts.registry import Registry
 from dualbrain.embodiment.body import Body
-from dualbrain.skills import decline, grasp, hold, home, move_to, place, release
+from dualbrain.skills import decline, grasp, hold, home, move_to, place, push, release
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Nominal, Senses, Story
 
@@ -16,6 +16,7 @@ ARM: Mapping[str, ModuleType] = {
     "move_to": move_to,
     "grasp": grasp,
     "place": place,
+    "push": push,
     "release": release,
     "hold": hold,
     "home": home,

@@ -1,8 +1,9 @@
 """Where the robot's MuJoCo model comes from: the user's file, Menagerie when it is already here, else the built-in one.
 
-Nothing is downloaded. Whatever the source, the result obeys one convention: bodies `link0`..`link7`, `hand`,
-`left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator7` in group 1, the finger servo `gripper` in
-group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on every moving body.
+Nothing is downloaded. Whatever the source, the result of an arm of n joints obeys one convention: bodies
+`link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
+finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
+every moving body.
 """
 
 # MuJoCo ships no type stubs:
@@ -16,17 +17,23 @@ from pathlib import Path
 
 import mujoco
 
+from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.menagerie import adapt, menagerie_file
 from dualbrain.world.visual_meshes import add_visuals, mesh_folder
 
-MODELS = ("panda",)
-REQUIRED = {
-    "body": ("link0", *(f"link{i}" for i in range(1, 8)), "hand", "left_finger", "right_finger"),
-    "actuator": (*(f"actuator{i}" for i in range(1, 8)), "gripper"),
-    "sensor": ("left_touch", "right_touch"),
-    "site": ("tcp",),
-}
+MODELS = ("panda", "ur5e")
+
+
+def required(n: int) -> dict[str, tuple[str, ...]]:
+    """The parts that the model of an arm of `n` joints must have, by kind."""
+    return {
+        "body": (*(f"link{i}" for i in range(n + 1)), "hand", "left_finger", "right_finger"),
+        "joint": (*(f"joint{i}" for i in range(1, n + 1)), "finger_joint1", "finger_joint2"),
+        "actuator": (*(f"actuator{i}" for i in range(1, n + 1)), "gripper"),
+        "sensor": ("left_touch", "right_touch"),
+        "site": ("tcp",),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +60,14 @@ def robot_model(
         raise UnknownName("robot model", name, MODELS)
     if path is not None:
         spec, source, dressed = _user(path), f"file {path.name}", True
-    elif (found := menagerie_file(menagerie)) is not None:
+    elif name == "panda" and (found := menagerie_file(menagerie)) is not None:
         spec, source, dressed = adapt(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
     else:
         spec, source, dressed = _built_in(name), "built-in", False
-    _check(spec, source)
+    _check(spec, source, load_body(name).n)
     if not visuals:
         strip_visuals(spec)
-    elif not dressed and (folder := mesh_folder()) is not None:
+    elif name == "panda" and not dressed and (folder := mesh_folder()) is not None:
         add_visuals(spec, folder)
         dressed, source = True, f"{source}, look from example-robot-data"
     return RobotModel(name, spec, source, visuals and dressed)
@@ -86,8 +93,8 @@ def _user(path: Path) -> mujoco.MjSpec:
         ) from error
 
 
-def _check(spec: mujoco.MjSpec, source: str) -> None:
-    for kind, names in REQUIRED.items():
+def _check(spec: mujoco.MjSpec, source: str, n: int) -> None:
+    for kind, names in required(n).items():
         missing = [name for name in names if getattr(spec, kind)(name) is None]
         if missing:
             raise InvalidSetup(

@@ -20,7 +20,7 @@ import numpy as np
 from dualbrain.records import Violation
 from dualbrain.world.contact_rules import ENVIRONMENT, HUMAN, SELF, Allowance, ContactRules
 from dualbrain.world.plant import Plant
-from dualbrain.world.scene_builder import PREFIX
+from dualbrain.world.scene_builder import PERIOD, PREFIX
 from dualbrain.world.thing_watch import ThingWatch
 
 SETTLE = 0.3  # [s] before anything is judged
@@ -28,7 +28,7 @@ MERGE = 0.05  # [s] of quiet that still belong to the same breach
 CONTACT_FORCE = 1.0  # [N] below which a touch of the environment does not count
 JOINT_TOLERANCE = 1e-3  # [rad]
 SPEED_TOLERANCE = 1.01
-SLOW_EVERY = 10  # ticks between looks at poses and tool speed
+SLOW_EVERY = 10  # steps between looks at poses and tool speed
 
 BY_VERDICT = {ENVIRONMENT: "collision_env", HUMAN: "collision_human", SELF: "self_collision"}
 UNITS = {
@@ -49,7 +49,7 @@ class _Breach:
 
 
 class Monitor:
-    """Judge one plant: `tick()` after every `advance()`, `violations()` at any time."""
+    """Judge one plant: `tick()` after every `step()`, `violations()` at any time."""
 
     def __init__(self, plant: Plant) -> None:
         """Index geoms, joints and limits; nothing is allowed until `allow`, everything counts as perceived."""
@@ -89,7 +89,7 @@ class Monitor:
         self._perceived = frozenset(names) | {"table", "floor"}
 
     def tick(self) -> None:
-        """Judge the state after one control period."""
+        """Judge the state after one step of physics."""
         now = self._data.time
         self._ticks += 1
         if now < SETTLE:
@@ -156,7 +156,7 @@ class Monitor:
         if speed > self._tool_speed * SPEED_TOLERANCE:
             self._breach("tcp_speed", ("tcp",), speed, now)
         for kind, name, peak in self._things.look(self._rules):
-            self._breach(kind, (name,), peak, now, hold=SLOW_EVERY * 1e-3)
+            self._breach(kind, (name,), peak, now, hold=SLOW_EVERY * PERIOD)
 
     def _breach(self, kind: str, bodies: tuple[str, ...], peak: float, now: float, hold: float = 0.0) -> None:
         key = (kind, bodies)

@@ -1,6 +1,7 @@
 """The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
 
-One `advance()` is one control period of 1 ms: `sense()` makes everything current, `act()` drives. A drive (`drive.py`)
+One `advance()` is one control period of the body, in steps of 1 ms: `sense()` makes everything current, `act()` drives.
+A drive (`drive.py`)
 turns the commanded joint velocity into motor torque within `forcerange`; the gripper's force limit F is set with each
 command (the two fingers share one servo of 2 F). When the drive is disabled the motors lose torque and gravity
 compensation, and dry-friction brakes hold each joint.
@@ -20,13 +21,13 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Array, Command, RobotState
 from dualbrain.errors import UnknownName
 from dualbrain.records import Pose
-from dualbrain.world.drive import ARM_GROUP, DriveKind, make_drive
+from dualbrain.world.drive import ARM_GROUP, DriveKind, make_drive, motors_of
 from dualbrain.world.model_provider import robot_model
 from dualbrain.world.mover import DAMPING, STIFFNESS, path_of
 from dualbrain.world.scene_builder import LOAD, PERIOD, PREFIX, build_model
 from dualbrain.world.scene_spec import SceneSpec
 
-BRAKE_TORQUE = (120.0, 120.0, 120.0, 120.0, 30.0, 30.0, 30.0)  # [Nm] holding torque, above the motors' own limits
+BRAKE_SHARE = 1.4  # holding torque of the brakes, above the motors' own limits
 BRAKE_SOLREF, BRAKE_SOLIMP = (2.0 * PERIOD, 1.0), (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # hard enough not to creep
 FINGER_SPEED = 0.05  # [m/s each], data sheet of the hand
 FINGER_LEAD = 0.002  # [m] by which the finger set point may run ahead beyond what the force needs
@@ -59,6 +60,8 @@ class Plant:
         self.model_source, self.has_visuals = robot.source, robot.has_visuals
         self.model = build_model(spec, robot, load=load)
         self.data = mujoco.MjData(self.model)
+        self.steps = round(body.period / PERIOD)
+        """Steps of physics in one control period."""
         self._index()
         self._load = self.model.joint(LOAD).qposadr[0] if load > 0.0 else None
         self.drive = make_drive(drive, self.model, self.data)
@@ -94,7 +97,7 @@ class Plant:
         self._enabled = False
         self._forget()
         self.model.opt.disableactuator |= 1 << ARM_GROUP
-        self.model.dof_frictionloss[self._dof] = BRAKE_TORQUE
+        self.model.dof_frictionloss[self._dof] = self._brakes
         self.model.body_gravcomp[self._moving] = 0.0
 
     def enable(self) -> None:
@@ -109,6 +112,11 @@ class Plant:
 
     def advance(self) -> None:
         """One control period."""
+        for _ in range(self.steps):
+            self.step()
+
+    def step(self) -> None:
+        """One step of physics."""
         self.sense()
         self.act()
 
@@ -117,7 +125,7 @@ class Plant:
         mujoco.mj_step1(self.model, self.data)
 
     def act(self) -> None:
-        """Motors, fingers and forearm get their set points, then time passes by one period; after `sense`."""
+        """Motors, fingers and forearm get their set points, then time passes by one step; after `sense`."""
         data = self.data
         if self._enabled:
             self.drive.act(self._u)
@@ -202,6 +210,7 @@ class Plant:
         self._dof = slice(int(arm[0].dofadr[0]), int(arm[-1].dofadr[0]) + 1)
         self.model.dof_solref[self._dof], self.model.dof_solimp[self._dof] = BRAKE_SOLREF, BRAKE_SOLIMP
         self._finger_dofs = slice(int(fingers[0].dofadr[0]), int(fingers[1].dofadr[0]) + 1)
+        self._brakes = BRAKE_SHARE * model.actuator_forcerange[motors_of(model)[0], 1]
         self._grip = int(model.actuator(f"{PREFIX}gripper").id)
         touch = [int(model.sensor(f"{PREFIX}{side}_touch").adr[0]) for side in ("left", "right")]
         self._touch = slice(touch[0], touch[1] + 1)

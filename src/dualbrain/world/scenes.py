@@ -36,13 +36,16 @@ __all__ = [
 GLASS = Cylinder(radius=0.024, half_height=0.045)
 
 
-def make_scene(family: str, seed: int) -> SceneSpec:
-    """The scene of `family` for `seed`; the same pair always gives the same scene. Raises `UnknownName`."""
+def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
+    """The scene of `family` for `seed` in front of `robot`; the same pair always gives the same things.
+
+    Raises `UnknownName`.
+    """
     if family not in ALL_FAMILIES:
         raise UnknownName("scene family", family, tuple(ALL_FAMILIES))
     draft = Draft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
     ALL_FAMILIES[family](draft)
-    spec = SceneSpec("panda", family, seed, tuple(draft.things), PLACES, draft.mover)
+    spec = SceneSpec(robot, family, seed, tuple(draft.things), PLACES, draft.mover)
     check_scene(spec)
     return spec
 

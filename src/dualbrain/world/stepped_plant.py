@@ -38,3 +38,5 @@ class SteppedPlant:
         """Drive at joint velocity u (n,) [rad/s] for one control period."""
         self.plant.write(Command(u, self._grip.opening.value, self._grip.force_min.value))
         self.plant.act()
+        for _ in range(self.plant.steps - 1):
+            self.plant.step()
