@@ -11,11 +11,13 @@ from proofs.plant_adversary import PlantAdversary
 from proofs.proof import Proof
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
+from proofs.zoo import Zoo
 
 PROOFS: dict[str, Proof] = {
     proof.name: proof
     for proof in (
-        Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary()
+        Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
+        Zoo(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

@@ -27,7 +27,9 @@ memory = App(name="memory", help="What happened: look at memory, audit it, mend 
 app.command(memory)
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
-robot = App(name="robot", help="Robots: `identify` measures how well one follows its commands.")
+robot = App(
+    name="robot", help="Robots: `init` makes one from its description, `identify` measures how it follows its commands."
+)
 app.command(robot)
 knowledge = App(
     name="knowledge",
@@ -62,6 +64,8 @@ for _name, _function, _help in (
     ("rebuild", "memory_change:rebuild", "Make all vectors anew."),
 ):
     memory.command(f"dualbrain.cli.{_function}", name=_name, help=_help)
+robot.command("dualbrain.cli.robot_init:init", name="init", help="Make a robot from its URDF or MJCF.")
+robot.command("dualbrain.cli.robot_inspect:inspect", name="inspect", help="See what the filter sees of a robot.")
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 robot.command("dualbrain.cli.robot_identify:identify", name="identify")

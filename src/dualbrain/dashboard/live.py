@@ -44,7 +44,7 @@ class LiveView:
         self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
         self.url = f"http://{HOST}:{self.port}"
         self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
-        self._server = _serve(self.port)
+        self._server = serve(self.port)
         self._robot = LiveRobot(self._server.scene, body)
         self._scene = LiveScene(self._server.scene)
         self._panel = LivePanel(self._server.gui)
@@ -128,7 +128,8 @@ def free_port(wanted: int, tries: int) -> int:
     )  # fmt: skip
 
 
-def _serve(port: int) -> ViserServer:
+def serve(port: int) -> ViserServer:
+    """A viser server on this machine's loopback address, without the button that asks for a public tunnel."""
     try:
         import viser  # noqa: PLC0415  (heavy imports are lazy)
     except ImportError as error:

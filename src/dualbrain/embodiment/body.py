@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Literal
 
 import msgspec
@@ -155,11 +156,25 @@ class Body(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, other_drives=tuple(others.values()))
 
 
-@lru_cache
 def load_body(name: str) -> Body:
-    """The body called `name`; raises `UnknownName` with the known ones."""
-    if name not in BODIES:
-        raise UnknownName("robot", name, BODIES)
+    """The body called `name`, or the one in a folder or file that `name` leads to ("./my_robot").
+
+    Raises:
+        UnknownName: there is no such body, and no such path.
+        InvalidSetup: what lies there is not a whole body.
+    """
+    if name in BODIES:
+        return _shipped(name)
+    path = Path(name)
+    if path.exists() or path.suffix == ".json" or len(path.parts) > 1:
+        from dualbrain.embodiment.body_check import read_body  # noqa: PLC0415  (it knows this module)
+
+        return read_body(path)
+    raise UnknownName("robot", name, BODIES)
+
+
+@lru_cache
+def _shipped(name: str) -> Body:
     data = resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
     return msgspec.json.decode(data, type=Body)
 

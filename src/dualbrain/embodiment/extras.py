@@ -1,4 +1,4 @@
-"""Packages of the `world` extra that only the generator needs; imported when first asked for, never at run time."""
+"""Packages that only making a body needs (`world`, `bodies`); imported when first asked for, never at run time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from importlib import import_module
 from typing import Any
 
 from dualbrain.errors import MissingPart
+
+BODIES = ("lxml", "yourdfpy", "collada")
+"""What only the reading of descriptions needs."""
 
 
 def extra(module: str) -> Any:
@@ -18,4 +21,7 @@ def extra(module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise MissingPart(f"The package {package}", fix="Install it with `pip install 'dualbrain[world]'`.") from error
+        group = "bodies" if package in BODIES else "world"
+        raise MissingPart(
+            f"The package {package}", fix=f"Install it with `pip install 'dualbrain[{group}]'`."
+        ) from error

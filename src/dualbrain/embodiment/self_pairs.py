@@ -34,16 +34,20 @@ def rotation(quaternion: tuple[float, float, float, float]) -> Array:
 def chain_frames(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
     """Chain frames of a batch of configurations q (m, n): rotations (m, n + 1, 3, 3), origins (m, n + 1, 3).
 
-    T_i = T_(i-1) [R_i t_i; 0 1] Rot_z(q_i), frame 0 is the base.
+    T_i = T_(i-1) [R_i t_i; 0 1] Rot_z(q_i), or Trans_z(q_i) of a prismatic joint; frame 0 is the base.
     """
     m, n = q.shape
     turns, origins = np.empty((m, n + 1, 3, 3)), np.zeros((m, n + 1, 3))
     turns[:, 0] = np.eye(3)
     for i, joint in enumerate(joints):
-        c, s, zero = np.cos(q[:, i]), np.sin(q[:, i]), np.zeros(m)
+        slides = joint.kind == "prismatic"
+        angle, zero = np.zeros(m) if slides else q[:, i], np.zeros(m)
+        c, s = np.cos(angle), np.sin(angle)
         about_z = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], axis=1).reshape(m, 3, 3)
         origins[:, i + 1] = origins[:, i] + turns[:, i] @ np.array(joint.translation)
         turns[:, i + 1] = turns[:, i] @ rotation(joint.quaternion) @ about_z
+        if slides:
+            origins[:, i + 1] += q[:, i, None] * turns[:, i + 1, :, 2]
     return turns, origins
 
 

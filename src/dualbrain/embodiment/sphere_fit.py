@@ -68,7 +68,32 @@ def fit_cover(mesh: Mesh, wanted: LinkCover, rng: np.random.Generator, options: 
     assert best is not None
     problem = pose_problem(mesh, wanted, placed, 10 * options.points, rng)
     centres, _ = _alternate(problem, best, options.rounds)
-    return _inflate(mesh, placed, _radii(problem, centres))
+    return _inflate(mesh, placed, reaching(problem, centres))
+
+
+def balls_within(problem: Problem, bar: float, inside: Array) -> Array:
+    """Centres (b, 3) of a greedy cover of all points by balls that bulge at most `bar` [m], from points `inside`.
+
+    Points that no candidate reaches get balls of their own, centred below them.
+    """
+    centres = _medial(problem.solid, bar / problem.face_weights, inside)
+    covers = bar >= problem.costs(centres).T
+    reached = covers.any(axis=0)
+    picked = _greedy(covers[:, reached], len(centres)) or []
+    left, own = problem.points[~reached], list(centres[picked])
+    middle = inside.mean(axis=0)
+    while len(left):
+        inward = middle - left[0]
+        step = min(1.0, 0.5 * bar / max(float(np.linalg.norm(inward)), 1e-9))
+        own.append(left[0] + step * inward)
+        reach = max(bar, float(np.linalg.norm(left[0] - own[-1])))
+        left = left[np.linalg.norm(left - own[-1], axis=1) > reach]
+    return np.array(own).reshape(-1, 3)
+
+
+def polished(problem: Problem, centres: Array, rounds: int) -> Array:
+    """Centres after `rounds` of alternation."""
+    return _alternate(problem, centres, rounds)[0]
 
 
 def _start(problem: Problem, count: int, rng: np.random.Generator, options: FitOptions) -> Array:
@@ -211,7 +236,7 @@ def _face_rows(problem: Problem, weights: list[float]) -> tuple[Array, Array]:
     return np.vstack(blocks), limits
 
 
-def _radii(problem: Problem, centres: Array) -> Balls:
+def reaching(problem: Problem, centres: Array) -> Balls:
     """Smallest radii with which the balls cover the points they own."""
     owner = np.argmin(problem.costs(centres), axis=1)
     reach = np.linalg.norm(problem.points - centres[owner], axis=1)

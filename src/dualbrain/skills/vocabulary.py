@@ -25,9 +25,14 @@ ARM: Mapping[str, ModuleType] = {
 """One module a skill, each with `spec(body)` and `story(limb, **params)`; to add one, write it and name it here."""
 
 
+GRIPPING = ("grasp", "place", "release")
+"""Skills that a hand which does not open cannot have."""
+
+
 def arm_registry(body: Body) -> Registry:
-    """The vocabulary P of an arm, bounded by `body` (paper 3.3)."""
-    return Registry(body.name, tuple(module.spec(body) for module in ARM.values()))
+    """The vocabulary P of an arm, bounded by `body` (paper 3.3); an arm without a gripper offers nothing that grips."""
+    opens = body.gripper.opening.value > 0.0
+    return Registry(body.name, tuple(ARM[name].spec(body) for name in ARM if opens or name not in GRIPPING))
 
 
 class Running:

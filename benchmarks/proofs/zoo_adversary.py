@@ -1,0 +1,175 @@
+"""A closed loop against any body: a nominal control that seeks the worst, judged in float64 apart from the kernel.
+
+Only what every body has is used, so that arms with slides and bases are driven alike: poses of the spheres from the
+body's own data in numpy, exact distances to solids, q integrated exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.differential_base import drive
+from dualbrain.embodiment.self_pairs import chain_frames, placed_centres
+from dualbrain.embodiment.solids import distance
+from dualbrain.records import Box, Capsule, Pose, Sphere
+from dualbrain.safety.barriers.trials import EXACT
+from dualbrain.safety.filter import Obstacle, SafetyFilter, Status
+
+Array = NDArray[np.float64]
+HOLDS = (20, 100, 300)
+"""Steps for which the nominal control is kept."""
+NEAR = 0.03
+"""Share of the reach that obstacles keep from the start posture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """Steps by status, least true h of things and own parts [m] and of joint limits [rad or m], steps with h < 0."""
+
+    status: tuple[int, ...]
+    h_things: float
+    h_self: float
+    h_joint: float
+    below: int
+
+
+class Judge:
+    """True h of one body among solids at any posture."""
+
+    def __init__(self, body: Body) -> None:
+        """Collect spheres by link; those bolted to the world make no h with things."""
+        self.body = body
+        self.mobile = body.base == "differential"
+        self.links = [link for link in body.links if any(sphere.link == link.name for sphere in body.spheres)]
+        self.centres = {
+            link.name: np.array([sphere.centre for sphere in body.spheres if sphere.link == link.name])
+            for link in self.links
+        }
+        self.radii = {
+            link.name: np.array([sphere.radius for sphere in body.spheres if sphere.link == link.name])
+            for link in self.links
+        }
+        self.low = np.array([joint.lower.value for joint in body.joints])
+        self.high = np.array([joint.upper.value for joint in body.joints])
+
+    def placed(self, q: Array) -> dict[str, Array]:
+        """Centres (m, k, 3) of every link's spheres at postures q (m, n), or (m, 3) of a base."""
+        if not self.mobile:
+            turns, origins = chain_frames(self.body.joints, q)
+            return {
+                link.name: placed_centres(link, self.centres[link.name], turns, origins, 0.0) for link in self.links
+            }
+        c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
+        found: dict[str, Array] = {}
+        for name, local in self.centres.items():
+            x = c[:, None] * local[:, 0] - s[:, None] * local[:, 1] + q[:, 0, None]
+            y = s[:, None] * local[:, 0] + c[:, None] * local[:, 1] + q[:, 1, None]
+            found[name] = np.stack([x, y, np.broadcast_to(local[:, 2], x.shape)], axis=-1)
+        return found
+
+    def things(self, placed: dict[str, Array], obstacles: list[Obstacle]) -> Array:
+        """Least distance (m,) of any moving sphere to any obstacle."""
+        least = np.full(len(next(iter(placed.values()))), np.inf)
+        for link in self.links:
+            if link.frame > 0:
+                for thing in obstacles:
+                    away = distance(thing.shape, thing.pose, placed[link.name]) - self.radii[link.name]
+                    least = np.minimum(least, away.min(axis=1))
+        return least
+
+    def own(self, placed: dict[str, Array]) -> Array:
+        """Least gap (m,) of all kept pairs."""
+        least = np.full(len(next(iter(placed.values()))), np.inf)
+        for a, b in self.body.self_pairs.kept:
+            for k in range(placed[a].shape[1]):
+                gap = np.linalg.norm(placed[b] - placed[a][:, k, None], axis=2) - self.radii[b] - self.radii[a][k]
+                least = np.minimum(least, gap.min(axis=1))
+        return least
+
+    def h(self, q: Array, obstacles: list[Obstacle]) -> Array:
+        """Least h (m,) of things and own parts."""
+        placed = self.placed(q)
+        return np.minimum(self.things(placed, obstacles), self.own(placed))
+
+
+def fight(body: Body, seed: int, steps: int) -> Account:
+    """One random scene around `body` at home, `steps` steps of an adversary."""
+    rng, judge = np.random.default_rng(seed), Judge(body)
+    q = np.array(body.home, float)
+    obstacles = _things(judge, q, rng, 10)
+    safety = SafetyFilter(body, EXACT)
+    safety.observe(obstacles)
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    u, hold, wish = np.zeros(body.n), 0, np.zeros(body.n)
+    path, counts = np.empty((steps, len(q))), [0] * len(Status)
+    for step in range(steps):
+        if hold == 0:
+            hold = int(rng.choice(HOLDS))
+            wish = _worst(judge, q, obstacles, v_max) if rng.random() < 0.7 else rng.choice([-1.5, 1.5], body.n) * v_max
+        hold -= 1
+        answer = safety(q, u, wish)
+        u = answer.u
+        counts[answer.status] += 1
+        q = drive(q, u, body.period) if judge.mobile else q + body.period * u
+        path[step] = q
+    return _judged(judge, path, obstacles, tuple(counts))
+
+
+def _judged(judge: Judge, path: Array, obstacles: list[Obstacle], counts: tuple[int, ...]) -> Account:
+    things = own = joint = np.inf
+    below = 0
+    for q in np.array_split(path, max(1, len(path) // 2000)):
+        placed = judge.placed(q)
+        h_things, h_self = judge.things(placed, obstacles), judge.own(placed)
+        h_joint = np.full(len(q), np.inf) if judge.mobile else np.min(np.minimum(q - judge.low, judge.high - q), axis=1)
+        things, own, joint = min(things, h_things.min()), min(own, h_self.min()), min(joint, h_joint.min())
+        below += int(np.sum(np.minimum(np.minimum(h_things, h_self), h_joint) < 0.0))
+    return Account(counts, float(things), float(own), float(joint), below)
+
+
+def _worst(judge: Judge, q: Array, obstacles: list[Obstacle], v_max: Array) -> Array:
+    """Full speed down the gradient of the least h, by differences."""
+    step = 1e-4
+    tries = [q]
+    for k in range(len(v_max)):
+        u = np.zeros(len(v_max))
+        u[k] = 1.0
+        tries.append(drive(q, u, step) if judge.mobile else q + step * u)
+    h = judge.h(np.array(tries), obstacles)
+    return -1.5 * v_max * np.sign(h[1:] - h[0])
+
+
+def _things(judge: Judge, q: Array, rng: np.random.Generator, count: int) -> list[Obstacle]:
+    """Balls, capsules and boxes around the robot, sized by its reach, none of them near at the start."""
+    start = np.concatenate([centres[0] for centres in judge.placed(q[None]).values()])
+    middle, reach = start.mean(axis=0), _reach(judge, q, rng)
+    found: list[Obstacle] = []
+    while len(found) < count:
+        size = reach * rng.uniform(0.03, 0.12)
+        shape = (Sphere(size), Capsule(0.5 * size, size), Box((size, float(rng.uniform(0.3, 1.0)) * size, 0.5 * size)))
+        turn = rng.normal(size=4)
+        w, x, y, z = (float(value) for value in turn / np.linalg.norm(turn))
+        away = rng.normal(size=3) * (1.0, 1.0, 0.1 if judge.mobile else 0.7)
+        place = middle + rng.uniform(0.3, 1.0) * reach * away / np.linalg.norm(away)
+        thing = Obstacle(
+            f"thing{len(found)}", shape[int(rng.integers(3))], Pose(tuple(map(float, place)), (w, x, y, z))
+        )
+        if judge.things(judge.placed(q[None]), [thing])[0] > NEAR * reach:
+            found.append(thing)
+    return found
+
+
+def _reach(judge: Judge, q: Array, rng: np.random.Generator) -> float:
+    """How far any sphere comes from the first joint [m]; of a base, how far it should drive."""
+    if judge.mobile:
+        return 3.0
+    low, high = np.maximum(judge.low, -np.pi), np.minimum(judge.high, np.pi)
+    tries = np.vstack([q, low + (high - low) * rng.random((200, len(low)))])
+    turns, origins = chain_frames(judge.body.joints, tries)
+    del turns
+    far = [centres - origins[:, 1, None] for name, centres in judge.placed(tries).items()]
+    return float(max(np.linalg.norm(one, axis=2).max() for one in far))

@@ -1,0 +1,1 @@
+"""From a robot's description (URDF, MJCF) to a `Body`: tree, chain, cover, limits, folder."""

@@ -1,0 +1,83 @@
+"""Where a description's meshes lie: package://, file:// and relative names, never outside the folders it may use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualbrain.errors import InvalidSetup, MissingPart
+
+LAYOUT = ("urdf", "robots", "robot", "xml", "mjcf", "xacro", "model", "models")
+"""Folders in which a description lies beside `meshes/`, by custom."""
+PARENTS = 6
+"""How many folders up a package is looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Folders:
+    """What one description may read: its own folder (its package), and `packages` given by the user."""
+
+    home: Path
+    own: Path
+    packages: tuple[Path, ...] = ()
+
+    def find(self, name: str, where: str) -> Path:
+        """The file that `name` means, as it is written at `where`.
+
+        Raises:
+            InvalidSetup: `name` is a web address, or leads out of the allowed folders.
+            MissingPart: there is no such file.
+        """
+        if name.startswith("package://"):
+            return self._in_package(name, where)
+        if "://" in name and not name.startswith("file://"):
+            raise InvalidSetup(f"mesh of {where}", got=name, allowed="package://, file:// or a relative name")
+        plain = Path(name.removeprefix("file://"))
+        return self._inside((self.own, *self.packages), self.home / plain, name, where)
+
+    def _in_package(self, name: str, where: str) -> Path:
+        package, _, rest = name.removeprefix("package://").partition("/")
+        roots = self._package_roots(package)
+        if not roots:
+            raise MissingPart(
+                f"The package {package!r} of {where} ({name})", fix="Say where it lies: --packages FOLDER (its parent)."
+            )
+        for root in roots:
+            if (root / rest).is_file():
+                return self._inside((root,), root / rest, name, where)
+        return self._inside((roots[0],), roots[0] / rest, name, where)
+
+    def _package_roots(self, package: str) -> list[Path]:
+        """Folders called `package`: among the description's ancestors, beside them, or in a folder that was given."""
+        if package in ("", ".", ".."):
+            return []
+        above = [self.home, *list(self.home.parents)[:PARENTS]]
+        found = [folder for folder in above if folder.name == package]
+        found += [folder / package for folder in (*self.packages, *above) if (folder / package).is_dir()]
+        return found
+
+    @staticmethod
+    def _inside(allowed: Sequence[Path], path: Path, name: str, where: str) -> Path:
+        real = path.resolve()
+        if not any(real.is_relative_to(folder.resolve()) for folder in allowed):
+            raise InvalidSetup(
+                f"mesh of {where}", got=name, allowed=f"a file inside {', '.join(str(folder) for folder in allowed)}",
+                fix="If it is meant, allow its folder: --packages FOLDER.",
+            )  # fmt: skip
+        if not real.is_file():
+            raise MissingPart(
+                f"The mesh {name!r} of {where}", fix=f"Looked for {real}. Other folders: --packages FOLDER."
+            )
+        return real
+
+
+def folders_of(file: Path, packages: Sequence[Path] = ()) -> Folders:
+    """The folders that the description `file` may use: its own, one up by the usual layout, and those given."""
+    home = file.resolve().parent
+    own = home.parent if home.name in LAYOUT else home
+    for folder in [home, *list(home.parents)[:PARENTS]]:
+        if (folder / "package.xml").is_file():
+            own = folder
+            break
+    return Folders(home, own, tuple(folder.resolve() for folder in packages))

@@ -1,0 +1,23 @@
+"""A light sample of the proof `zoo`, an arm and a base; and that the list of robots leaves none out unsaid."""
+
+import pytest
+from proofs.zoo import AGREE, BY_NAME, Zoo, why_it_fails
+from proofs.zoo_robots import EMPTY, LEFT_OUT, ROBOTS, robots_folder
+
+
+@pytest.mark.parametrize("name", ["ur3_robot", "tiago_base"])
+def test_a_robot_that_nobody_here_wrote(name):
+    row = Zoo().run({"robot": name}, scenes=1, steps=400, states=10)
+    assert why_it_fails(row) == ""
+    assert max(row["pose"], row["jacobian"]) < AGREE
+    assert row["coverage"] == 1.0
+
+
+def test_every_folder_of_the_package_is_made_or_named():
+    folders = {
+        path.parts[0] for path in (file.relative_to(robots_folder()) for file in robots_folder().rglob("*.urdf"))
+    }
+    made = {robot.file.split("/")[0] for robot in ROBOTS} | {name.split("/")[0] for name in EMPTY}
+    named = {f"{name}_description" for names in LEFT_OUT.values() for name in names}
+    assert folders <= made | named
+    assert len(BY_NAME) == len(ROBOTS)
