@@ -62,32 +62,32 @@ def loop(body: Body, seed: int, steps: int) -> Iterator[Moment]:
     """
     safety, twin, rng = make(body, seed), make(body, seed), np.random.default_rng(seed + 10_000)
     v_max = np.array([joint.velocity.value for joint in body.joints])
-    q, u, u_nom, u_prev = np.array(body.home), np.empty(body.n), np.zeros(body.n), np.zeros(body.n)
+    q, u_nom, u_prev = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
     rest, hold = np.zeros(body.n), (20, 150, 400)[seed % 3]
     for step in range(steps):
         if step % hold == 0:
             u_nom = v_max * rng.choice([-1.0, 1.0], body.n)
-            rows = safety._kernel.rows() if rng.random() < 0.7 else []
+            rows = safety.rows() if rng.random() < 0.7 else ()
             if rows:
-                u_nom = -v_max * np.sign(np.array(min(rows, key=lambda row: row[3])[6]))
+                u_nom = -v_max * np.sign(min(rows, key=lambda row: row.h).a)
         if step % 2000 == 0:
             q = np.array(body.home) + rng.uniform(-0.3, 0.3, body.n)
-        answer = safety._kernel.step(q, rest, u_nom, 0.0, 0.0, 0.0, u)
+        answer = safety(q, rest, u_nom)
         seconds = twin._kernel.time_steps(q[None], u_nom[None], False)
-        yield Moment(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer[7], answer[8], seconds)
-        u_prev = u.copy()
-        q = q + body.period * u
+        yield Moment(seed, q.copy(), u_prev.copy(), u_nom.copy(), answer.iterations, answer.n_rows, seconds)
+        u_prev = answer.u
+        q = q + body.period * answer.u
 
 
 def again(safety: SafetyFilter, m: Moment, *, times: int = 1) -> Moment:
     """The same step without a warm start; the least of `times` times, so that a busy machine does not count."""
-    u, rest, least = np.empty(len(m.q)), np.zeros(len(m.q)), np.inf
+    rest, least = np.zeros(len(m.q)), np.inf
     safety.reset(m.u_prev)
-    answer = safety._kernel.step(m.q, rest, m.u_nom, 0.0, 0.0, 0.0, u)
+    answer = safety(m.q, rest, m.u_nom)
     for _ in range(times):
         safety.reset(m.u_prev)
         least = min(least, safety._kernel.time_steps(m.q[None], m.u_nom[None], True))
-    return Moment(m.scene, m.q, m.u_prev, m.u_nom, answer[7], answer[8], least)
+    return Moment(m.scene, m.q, m.u_prev, m.u_nom, answer.iterations, answer.n_rows, least)
 
 
 def search(body: Body, start: list[Moment], rng: np.random.Generator, tries: int) -> Moment:

@@ -68,11 +68,10 @@ class Filter:
 
     def stated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, b, lower, upper of the last step, as the filter itself states them."""
-        kernel = self.filter._kernel
-        rows = kernel.rows()
-        lower, upper = kernel.box()
-        A = np.array([row[-1] for row in rows], float).reshape(len(rows), -1)
-        return A, np.array([row[5] for row in rows], float), np.array(lower), np.array(upper)
+        rows = self.filter.rows()
+        lower, upper = self.filter._kernel.box()
+        A = np.array([row.a for row in rows], float).reshape(len(rows), -1)
+        return A, np.array([row.b for row in rows], float), np.array(lower), np.array(upper)
 
     def flag(self) -> str | None:
         """What the answer says about itself."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.safety._kernel import Judge
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.filter import BarrierRow, SafetyFilter
 from dualbrain.safety.obstacles import Obstacle
 from dualbrain.world.drive import KINDS, DriveKind
 from dualbrain.world.plant import Plant
@@ -92,29 +92,30 @@ def drive(
     robot: SteppedPlant, safety: SafetyFilter, shapes: PlantJudge, rng: np.random.Generator, steps: int
 ) -> tuple[np.ndarray, np.ndarray, PlantJudge]:
     """The loop: sense, judge, filter at the measured state, act. True postures (steps, n) and statuses (steps,)."""
-    n, kernel = safety.body.n, safety._kernel
+    n = safety.body.n
     v_max = np.array([joint.velocity.value for joint in safety.body.joints])
     opening = float(safety.body.gripper.opening.value)
-    path, status, u, wish = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n), np.zeros(n)
+    path, status, wish = np.empty((steps, n)), np.empty(steps, np.int64), np.zeros(n)
     until = 0
     for t in range(steps):
         robot.sense()
         path[t] = robot.q
         shapes.look()
         if t >= until:
-            wish, until = _aim(kernel.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
-        status[t] = kernel.step(path[t], robot.v, wish, opening, 0.0, 0.0, u)[0]
-        robot.act(u)
+            wish, until = _aim(safety.rows(), v_max, rng), t + int(rng.choice((150, 400, 1000)))
+        answer = safety(path[t], robot.v, wish, opening=opening)
+        status[t] = answer.status
+        robot.act(answer.u)
     return path, status, shapes
 
 
-def _aim(rows: list[Any], v_max: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _aim(rows: tuple[BarrierRow, ...], v_max: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Full speed down the nearest row, sometimes any row, sometimes bang-bang."""
     coins = np.where(rng.random(len(v_max)) < 0.5, -1.0, 1.0)
     if not rows or rng.random() < 0.1:
         return coins * v_max
-    row = min(rows, key=lambda r: r[3]) if rng.random() < 0.7 else rows[int(rng.integers(len(rows)))]
-    return np.where(np.array(row[6]) > 0.0, -1.0, 1.0) * v_max
+    row = min(rows, key=lambda r: r.h) if rng.random() < 0.7 else rows[int(rng.integers(len(rows)))]
+    return np.where(row.a > 0.0, -1.0, 1.0) * v_max
 
 
 @cache

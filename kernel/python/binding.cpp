@@ -1,9 +1,11 @@
-// Python's door to the kernel: arrays are checked here once, then handed over; the GIL is released during a step.
+// Python's door to the kernel: arrays are checked here once, then handed over. A step of microseconds keeps the GIL: giving
+// it away would let another thread hold the control period up by its switch interval (5 ms). Batches and loops release it.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <memory>
@@ -11,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "arrays.h"
 #include "dbk/dbk.h"
 #include "dbk_lab.h"
 
@@ -29,36 +32,6 @@ void expect(bool good, const char *what) {
 void copy(const Array &from, dbk_real *to, size_t count, const char *what) {
   expect(from.size() == count, what);
   for (size_t i = 0; i < count; ++i) { to[i] = static_cast<dbk_real>(from.data()[i]); }
-}
-
-// n doubles of one array, read in place; what is not a plain float64 array is converted first
-void take(const nb::handle from, dbk_real *to, size_t count, const char *what) {
-  Py_buffer view;
-  if (PyObject_GetBuffer(from.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) != 0) {
-    PyErr_Clear();
-    return copy(nb::cast<Array>(from), to, count, what);
-  }
-  const bool plain = view.format != nullptr && std::strcmp(view.format, "d") == 0;
-  const bool fits = static_cast<size_t>(view.len) == count * sizeof(double);
-  const auto *data = static_cast<const double *>(view.buf);
-  for (size_t i = 0; plain && fits && i < count; ++i) { to[i] = static_cast<dbk_real>(data[i]); }
-  PyBuffer_Release(&view);
-  if (!plain) { return copy(nb::cast<Array>(from), to, count, what); }
-  expect(fits, what);
-}
-
-// the same the other way: into a writable float64 array
-void give(const nb::handle to, const dbk_real *from, size_t count, const char *what) {
-  Py_buffer view;
-  if (PyObject_GetBuffer(to.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) != 0) {
-    throw nb::python_error();
-  }
-  const bool plain = view.format != nullptr && std::strcmp(view.format, "d") == 0 &&
-                     static_cast<size_t>(view.len) == count * sizeof(double);
-  auto *data = static_cast<double *>(view.buf);
-  for (size_t i = 0; plain && i < count; ++i) { data[i] = static_cast<double>(from[i]); }
-  PyBuffer_Release(&view);
-  expect(plain, what);
 }
 
 std::vector<double> values(const nb::dict &d, const char *key) {
@@ -110,6 +83,7 @@ struct Kernel {
   dbk_in in{};
   dbk_out out{};
   size_t n = 0;
+  nb::object answer_type, statuses;  // what a step answers with, and its status by number
 
   explicit Kernel(const nb::dict &d) {
     n = static_cast<size_t>(nb::cast<int>(d["n"]));
@@ -171,9 +145,10 @@ struct Kernel {
     dbk_scene_prepare(scene.get());
   }
 
+  // of the obstacles there are, and of what fills the last vector
   void clear_permits() {
     for (auto &row : scene->permit) {
-      for (dbk_real &speed : row) { speed = static_cast<dbk_real>(-1); }
+      std::fill_n(row, DBK_PADDED(scene->n_obstacles), static_cast<dbk_real>(-1));
     }
   }
 
@@ -226,35 +201,42 @@ struct Kernel {
     std::memcpy(ctx->u_nom_prev, ctx->u_prev, sizeof ctx->u_prev);
   }
 
-  void load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age) {
+  // returns u_nom as it was read
+  nb::object load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age) {
     take(q, in.q, n, "q");
     take(v, in.v, n, "v");
-    take(u, in.u_nom, n, "u_nom");
     in.opening = static_cast<dbk_real>(opening);
     in.state_age = static_cast<dbk_real>(state_age);
     in.scene_age = static_cast<dbk_real>(scene_age);
+    return take(u, in.u_nom, n, "u_nom");
   }
 
-  nb::tuple step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age, double scene_age,
-                 nb::handle u) {
-    load(q, v, u_nom, opening, state_age, scene_age);
-    {
-      const nb::gil_scoped_release release;
-      dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
+  // what a step answers with: called with u, u_nom, names, status, flags, delta, delta_rows, delta_box, h_min, certified,
+  // iterations, n_rows, rows, relaxed
+  void answer_with(nb::object type, nb::object names_of_status) {
+    answer_type = std::move(type);
+    statuses = std::move(names_of_status);
+  }
+
+  nb::object active() const {
+    if (out.n_active == 0) { return nb::steal(PyTuple_New(0)); }
+    nb::object all = nb::steal(PyTuple_New(out.n_active));
+    for (int a = 0; a < out.n_active; ++a) {
+      const dbk_active &e = out.active[a];
+      nb::object row = nb::make_tuple(e.kind, e.i, e.j, double(e.h), double(e.multiplier));
+      PyTuple_SET_ITEM(all.ptr(), a, row.release().ptr());
     }
-    give(u, out.u, n, "u");
-    nb::tuple active;
-    if (out.n_active > 0) {
-      nb::list rows;
-      for (int a = 0; a < out.n_active; ++a) {
-        const dbk_active &e = out.active[a];
-        rows.append(nb::make_tuple(e.kind, e.i, e.j, double(e.h), double(e.multiplier)));
-      }
-      active = nb::tuple(rows);
-    }
-    return nb::make_tuple(out.status, out.flags, double(out.delta), double(out.delta_rows), double(out.delta_box),
-                          double(out.h_min), out.certified != 0, out.iterations, out.n_rows, active,
-                          out.relaxed);
+    return all;
+  }
+
+  nb::object step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age, double scene_age,
+                  nb::handle names) {
+    expect(answer_type.is_valid(), "answer_with comes first");
+    const nb::object wish = load(q, v, u_nom, opening, state_age, scene_age);
+    dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
+    return answer_type(give(out.u, n), wish, names, nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)), out.flags,
+                       double(out.delta), double(out.delta_rows), double(out.delta_box), double(out.h_min),
+                       out.certified != 0, out.iterations, out.n_rows, active(), out.relaxed);
   }
 
   // rows of q, v, u_nom, u_prev (m, n) are independent states of a bolted body: each starts afresh from its u_prev,
@@ -294,8 +276,7 @@ struct Kernel {
     expect(u.size() == n, "u");
     dbk_status status;
     {
-      const nb::gil_scoped_release release;
-      status = dbk_project(model.get(), scene.get(), other.get(), &in, last, static_cast<dbk_real>(extra), answer);
+        status = dbk_project(model.get(), scene.get(), other.get(), &in, last, static_cast<dbk_real>(extra), answer);
     }
     for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(answer[k]); }
     return status;
@@ -343,9 +324,10 @@ struct Kernel {
     return cloud.count;
   }
 
-  // the rows of the last step: list of (kind, i, j, h, norm, b, a...)
-  nb::list rows() const {
+  // the rows of the last step, all that a control of its box could violate: list of (kind, i, j, h, norm, b, a...)
+  nb::list rows() {
     nb::list all;
+    dbk_all_rows(model.get(), scene.get(), ctx.get(), &in);
     for (int r = 0; r < ctx->rows.count; ++r) {
       nb::list a;
       for (size_t k = 0; k < n; ++k) { a.append(double(ctx->rows.a[k][r])); }
@@ -471,6 +453,7 @@ nb::tuple sine_cosine(double x) {
 }  // namespace
 
 NB_MODULE(DBK_MODULE, m) {
+  if (PyArray_ImportNumPyAPI() < 0) { throw nb::python_error(); }
   m.doc() = "The safety kernel, compiled.";
   m.attr("real") = sizeof(dbk_real) == 4 ? "float32" : "float64";
   m.attr("source_hash") = DBK_HASH;
@@ -489,6 +472,7 @@ NB_MODULE(DBK_MODULE, m) {
       .def("constrain", &Kernel::constrain)
       .def("stand", &Kernel::stand)
       .def("reset", &Kernel::reset)
+      .def("answer_with", &Kernel::answer_with)
       .def("step", &Kernel::step)
       .def("batch", &Kernel::batch)
       .def("project", &Kernel::project)

@@ -31,6 +31,14 @@ static inline dbk_real dbk_sqrt(dbk_real x) {
 #endif
 }
 
+static inline dbk_real dbk_length(dbk_real x, dbk_real y, dbk_real z) { return dbk_sqrt(x * x + y * y + z * z); }
+
+#ifdef DBK_DOUBLE
+#define DBK_UNKNOWN __builtin_nan("")
+#else
+#define DBK_UNKNOWN __builtin_nanf("")
+#endif
+
 static inline int32_t dbk_finite(dbk_real x) {
   const dbk_real none = x - x; /* NaN for NaN and for infinities */
   return none == (dbk_real)0;

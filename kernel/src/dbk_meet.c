@@ -168,14 +168,14 @@ DBK_WIDE static int32_t sort_near(const dbk_scene *scene, const int32_t *flags, 
 /* the smallest h of a link and an obstacle goes into h_min; what one period could bring to h = 0 is looked at again */
 static void judge(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const link_scene *near, int32_t index,
                   dbk_real least) {
-  const dbk_real speed = scene->covers.speed[index] + ctx->motion.speed[near->link];
+  const dbk_real speed = scene->covers.speed[index] + ctx->motion.haste[near->link];
   ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
   if (!(least >= model->period * speed + DBK_CULL_FLOOR)) { dbk_remember(ctx, near->first, near->count, index); }
 }
 
 /* the same for all capsules that were met together */
 DBK_WIDE static void judge_together(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const link_scene *near) {
-  const dbk_real fastest = ctx->motion.speed[near->link], period = model->period;
+  const dbk_real fastest = ctx->motion.haste[near->link], period = model->period;
   for (int32_t b = 0; b < near->n_blocks; ++b) {
     const dbk_real *least = near->least + near->block[b], *speed = scene->covers.speed + near->block[b];
     const int32_t *together = near->together + near->block[b];

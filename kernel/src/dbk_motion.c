@@ -1,30 +1,33 @@
-/* How every sphere moves under the controls of the box: velocity and acceleration at the middle of the box, and how far
- * any control of the box can change the velocity. This is what tells which rows may bind in this step. */
+/* How every sphere moves: its velocity at the middle of the trust box, how far any control of that box can change it, and
+ * its acceleration at the middle of the whole box. This is what tells which rows may bind in this step. */
 #include "dbk_pair.h"
 
 typedef struct {
   dbk_real w[3], v[3], dw[3], dv[3]; /* spatial velocity and acceleration about the base origin at constant u */
+  dbk_real tw[3], tv[3];             /* spatial velocity at the middle of the trust box */
 } spatial;
 
-static void cross(const dbk_real a[3], const dbk_real b[3], dbk_real out[3]) {
+static inline void cross(const dbk_real a[3], const dbk_real b[3], dbk_real out[3]) {
   out[0] = a[1] * b[2] - a[2] * b[1];
   out[1] = a[2] * b[0] - a[0] * b[2];
   out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-/* frame i+1 = frame i plus a slide at rate u along axis z; the axis itself turns with frame i */
-static void add_slide(const spatial *parent, const dbk_real z[3], dbk_real u, spatial *child) {
+/* frame i+1 = frame i plus a slide at rate u (or t) along axis z; the axis itself turns with frame i */
+static inline void add_slide(const spatial *parent, const dbk_real z[3], dbk_real u, dbk_real t, spatial *child) {
   dbk_real dz[3];
   cross(parent->w, z, dz);
   *child = *parent;
   for (int32_t e = 0; e < 3; ++e) {
     child->v[e] += u * z[e];
+    child->tv[e] += t * z[e];
     child->dv[e] += u * dz[e];
   }
 }
 
-/* frame i+1 = frame i plus a turn at rate u about axis z through p; the axis itself moves with frame i */
-static void add_turn(const spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, spatial *child) {
+/* frame i+1 = frame i plus a turn at rate u (or t) about axis z through p; the axis itself moves with frame i */
+static inline void add_turn(const spatial *parent, const dbk_real z[3], const dbk_real p[3], dbk_real u, dbk_real t,
+                            spatial *child) {
   dbk_real moment[3], dz[3], dp[3], wp[3], a[3], b[3];
   cross(p, z, moment); /* velocity at the origin of a unit turn: -z x p */
   cross(parent->w, z, dz);
@@ -35,24 +38,27 @@ static void add_turn(const spatial *parent, const dbk_real z[3], const dbk_real 
   for (int32_t e = 0; e < 3; ++e) {
     child->w[e] = parent->w[e] + u * z[e];
     child->v[e] = parent->v[e] + u * moment[e];
+    child->tw[e] = parent->tw[e] + t * z[e];
+    child->tv[e] = parent->tv[e] + t * moment[e];
     child->dw[e] = parent->dw[e] + u * dz[e];
     child->dv[e] = parent->dv[e] + u * (a[e] + b[e]);
   }
 }
 
-/* centre velocity v + w x c and acceleration dv + dw x c + w x (centre velocity) of the spheres first..last-1. The loop
+/* centre velocity tv + tw x c and acceleration dv + dw x c + w x (v + w x c) of the spheres first..last-1. The loop
  * runs on to a full vector: what it writes behind `last` is written again by the next frame, or never read. */
-static void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_t last, dbk_motion *restrict out) {
+static inline void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_t last, dbk_motion *restrict out) {
   const dbk_real wx = t->w[0], wy = t->w[1], wz = t->w[2], vx = t->v[0], vy = t->v[1], vz = t->v[2];
   const dbk_real ax = t->dw[0], ay = t->dw[1], az = t->dw[2], bx = t->dv[0], by = t->dv[1], bz = t->dv[2];
+  const dbk_real rx = t->tw[0], ry = t->tw[1], rz = t->tw[2], sx = t->tv[0], sy = t->tv[1], sz = t->tv[2];
   const int32_t count = DBK_PADDED(last - first);
   for (int32_t i = 0; i < count; ++i) {
     const int32_t s = first + i;
     const dbk_real x = cloud->x[s], y = cloud->y[s], z = cloud->z[s];
     const dbk_real ux = vx + (wy * z - wz * y), uy = vy + (wz * x - wx * z), uz = vz + (wx * y - wy * x);
-    out->vx[s] = ux;
-    out->vy[s] = uy;
-    out->vz[s] = uz;
+    out->vx[s] = sx + (ry * z - rz * y);
+    out->vy[s] = sy + (rz * x - rx * z);
+    out->vz[s] = sz + (rx * y - ry * x);
     out->ax[s] = bx + (ay * z - az * y) + (wy * uz - wz * uy);
     out->ay[s] = by + (az * x - ax * z) + (wz * ux - wx * uz);
     out->az[s] = bz + (ax * y - ay * x) + (wx * uy - wy * ux);
@@ -60,7 +66,7 @@ static void move(const spatial *t, const dbk_cloud *cloud, int32_t first, int32_
 }
 
 /* velocities and accelerations of all spheres; neighbouring links of one frame are taken together */
-static void move_all(const dbk_model *model, const dbk_scene *scene, const spatial *chain, dbk_ctx *ctx) {
+static inline void move_all(const dbk_model *model, const dbk_scene *scene, const spatial *chain, dbk_ctx *ctx) {
   int32_t end = 0;
   for (int32_t l = 0; l <= model->n_links; l = end) {
     const int32_t frame = dbk_link_frame(model, l);
@@ -72,7 +78,7 @@ static void move_all(const dbk_model *model, const dbk_scene *scene, const spati
 }
 
 /* greatest speed of every sphere, and what its acceleration can add to a row's right side */
-static void hurry(const dbk_motion *m, int32_t total, dbk_real half_period, dbk_real *restrict speed,
+static inline void hurry(const dbk_motion *m, int32_t total, dbk_real half_period, dbk_real *restrict speed,
                   dbk_real *restrict bend) {
   const int32_t count = DBK_PADDED(total);
   for (int32_t s = 0; s < count; ++s) {
@@ -83,7 +89,7 @@ static void hurry(const dbk_motion *m, int32_t total, dbk_real half_period, dbk_
 }
 
 /* where the ball around a link is now; far from the origin rounding is larger, and so is the ball */
-static void place_ball(const dbk_frames *frames, const dbk_cloud *cloud, const dbk_ball *ball, int32_t frame,
+static inline void place_ball(const dbk_frames *frames, const dbk_cloud *cloud, const dbk_ball *ball, int32_t frame,
                        int32_t first, int32_t link, dbk_motion *out) {
   const dbk_real *r = frames->rotation[frame];
   const dbk_real x = cloud->x[first] + (r[0] * ball->x + r[1] * ball->y + r[2] * ball->z);
@@ -98,7 +104,7 @@ static void place_ball(const dbk_frames *frames, const dbk_cloud *cloud, const d
 }
 
 /* balls and greatest speeds of the links */
-static void bound_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+static inline void bound_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
   dbk_real speed[DBK_SPHERE_ROOM], bend[DBK_SPHERE_ROOM];
   dbk_motion *out = &ctx->motion;
   hurry(out, ctx->cloud.count, (dbk_real)0.5 * model->period, speed, bend);
@@ -109,6 +115,8 @@ static void bound_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
       out->speed[l] = dbk_max(out->speed[l], speed[s]);
       out->bend[l] = dbk_max(out->bend[l], bend[s]);
     }
+    out->haste[l] = out->speed[l];
+    for (int32_t k = 0; k < model->n; ++k) { out->haste[l] += out->beyond[k] * model->link_reach[k][l]; }
     if (first < last) {
       const dbk_ball *ball = l == model->n_links ? &scene->held_ball : &model->ball[l];
       place_ball(&ctx->frames, &ctx->cloud, ball, dbk_link_frame(model, l), first, l, out);
@@ -120,7 +128,7 @@ static void bound_links(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
 
 DBK_WIDE void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
   spatial chain[DBK_MAX_DOF + 1];
-  const spatial still = {{0}, {0}, {0}, {0}};
+  const spatial still = {{0}, {0}, {0}, {0}, {0}, {0}};
   const int32_t count = DBK_PADDED(ctx->cloud.count);
   dbk_motion *out = &ctx->motion;
   chain[0] = still; /* the base */
@@ -129,21 +137,23 @@ DBK_WIDE void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk
     const dbk_real *r = ctx->frames.rotation[k + 1];
     const dbk_real z[3] = {r[2], r[5], r[8]};
     const dbk_real middle = (dbk_real)0.5 * (ctx->lower[k] + ctx->upper[k]);
-    const dbk_real wide = (dbk_real)0.5 * (ctx->upper[k] - ctx->lower[k]) + model->tracking;
+    const dbk_real low = ctx->trust_lower[k], high = ctx->trust_upper[k], aim = (dbk_real)0.5 * (low + high);
+    const dbk_real wide = (dbk_real)0.5 * (high - low) + model->tracking;
     const dbk_real *restrict reach = model->reach[k];
     if (model->joint_kind[k] == DBK_PRISMATIC) {
-      add_slide(&chain[k], z, middle, &chain[k + 1]);
+      add_slide(&chain[k], z, middle, aim, &chain[k + 1]);
     } else {
-      add_turn(&chain[k], z, ctx->frames.origin[k + 1], middle, &chain[k + 1]);
+      add_turn(&chain[k], z, ctx->frames.origin[k + 1], middle, aim, &chain[k + 1]);
     }
     out->wide[k] = wide;
-    out->fast[k] = dbk_abs(middle) + wide;
+    out->fast[k] = dbk_abs(aim) + wide;
+    out->beyond[k] = dbk_max(ctx->upper[k] - high, low - ctx->lower[k]);
     for (int32_t s = 0; s < count; ++s) { out->spread[s] += wide * reach[s]; }
   }
   for (int32_t k = 0; k <= model->n; ++k) {
     for (int32_t e = 0; e < 3; ++e) {
-      out->twist[k][e] = chain[k].w[e];
-      out->twist[k][3 + e] = chain[k].v[e];
+      out->twist[k][e] = chain[k].tw[e];
+      out->twist[k][3 + e] = chain[k].tv[e];
     }
   }
   move_all(model, scene, chain, ctx);

@@ -1,6 +1,6 @@
 /* Which obstacles matter for which links: the ball around a link against the capsule around an obstacle. A pair is left
- * out only when, by this lower bound of h, no control of the box can violate any of its rows, h is above the floor, and
- * another pair is nearer, so that h_min is not found here. Everything is rounded toward looking again. */
+ * out only when, by this lower bound of h, no control of the trust box can violate any of its rows, no control at all can
+ * bring it to h = 0 in this period, and another pair is nearer, so that h_min is not found here. Everything is rounded toward looking again. */
 #include "dbk_pair.h"
 
 /* obstacles moved on by the age of the scene; error and dials of the filter become margins */
@@ -82,13 +82,14 @@ static inline dbk_real nearest_at_most(const dbk_scene *scene, const dbk_motion 
 static inline int32_t mark(const dbk_model *model, const dbk_scene *scene, const dbk_motion *m, const dbk_surround *s,
                         int32_t link, const dbk_real *gap, dbk_real h_min, int32_t *restrict near) {
   const dbk_covers *c = &scene->covers;
-  const dbk_real speed = m->speed[link], sampling = model->sampling;
+  const dbk_real speed = m->speed[link], haste = m->haste[link], sampling = model->sampling, period = model->period;
   const int32_t known_only = s->known_only;
   int32_t any = 0;
   for (int32_t o = 0; o < s->lanes; ++o) {
     const dbk_real h = gap[o];
     const int32_t open = (int32_t)(c->parts[o] >> link & 1u) & (c->known[o] | !known_only);
-    const int32_t safe = (h > DBK_CULL_FLOOR) & (s->alpha[o] * h >= c->speed[o] + speed) & (h + sampling >= h_min);
+    const dbk_real soon = period * (c->speed[o] + haste) + DBK_CULL_FLOOR;
+    const int32_t safe = (h > soon) & (s->alpha[o] * h >= c->speed[o] + speed) & (h + sampling >= h_min);
     near[o] = open & !safe;
     any |= near[o];
   }

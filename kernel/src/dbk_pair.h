@@ -10,7 +10,7 @@
 #define DBK_BEYOND ((dbk_real)10)  /* [m] farther than any robot here reaches */
 
 /* pairs that are weighed together, one array per number: h, normal, right side, and the room that the worst control of the
- * box leaves. One side of the pairs is the same for all: the moving sphere, or (`sphere` < 0) the other thing; `index` is
+ * trust box leaves. One side of the pairs is the same for all: the moving sphere, or (`sphere` < 0) the other thing; `index` is
  * what varies. Both are named as in dbk_active. */
 typedef struct {
   int32_t count, kind, sphere, other;
@@ -100,6 +100,10 @@ typedef struct {
   int32_t any[DBK_ALL_LINKS], near[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
 } dbk_nearby;
 
+/* dbk_model.c */
+dbk_ball dbk_ball_around(const dbk_real *x, const dbk_real *y, const dbk_real *z, const dbk_real *radius, int32_t count,
+                         dbk_real shift);
+
 /* dbk_near.c */
 void dbk_surroundings(const dbk_model *model, const dbk_scene *scene, dbk_real age, dbk_real extra, int32_t known_only,
                       dbk_surround *out);
@@ -110,6 +114,9 @@ dbk_real dbk_separation_speed(const dbk_obstacle *o, dbk_real d, dbk_real person
 /* dbk_meet.c, dbk_self.c */
 void dbk_meet_obstacles(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around);
 void dbk_meet_self(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra);
+
+/* dbk_columns.c: rows->a; `square` and `total` are the sums of squares and of sizes over the joints */
+void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *rows, dbk_real *square, dbk_real *total);
 
 /* dbk_rows.c */
 void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batch *w);

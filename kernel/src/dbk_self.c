@@ -7,16 +7,17 @@
 typedef struct {
   int32_t far, from, upto, first, count;
   dbk_real margin, bend;
-  dbk_real speed; /* no pair closes faster within the box, and `bend`, the accelerations' part in the row, included */
+  dbk_real speed; /* no pair closes faster within the trust box; `bend`, the accelerations' part in the row, is included */
+  dbk_real beyond; /* within the whole box a pair may close faster by this */
 } link_pair;
 
-/* how spheres of link `far` move as seen from link `near`, at the middle of the box; `change`: what the box and both
+/* how spheres of link `far` move as seen from link `near`, at the middle of the trust box; `change`: what it and both
  * accelerations can make of that in a row */
 typedef struct {
   dbk_real vx[DBK_SPHERE_ROOM], vy[DBK_SPHERE_ROOM], vz[DBK_SPHERE_ROOM], spread[DBK_SPHERE_ROOM], change[DBK_SPHERE_ROOM];
 } relative_motion;
 
-/* how fast two links can close within the box: as the joints between them can, or as they move in space */
+/* how fast two links can close within the trust box: as the joints between them can, or as they move in space */
 static dbk_real closing_speed(const dbk_model *model, const dbk_motion *m, int32_t near, int32_t far, int32_t from,
                               int32_t upto) {
   dbk_real speed = m->bend[near] + m->bend[far];
@@ -24,9 +25,11 @@ static dbk_real closing_speed(const dbk_model *model, const dbk_motion *m, int32
   return dbk_min(speed, m->speed[near] + m->speed[far]);
 }
 
-/* does something at distance h matter: may a control of the box violate its row, is it very near, or the nearest of all? */
+/* does something at distance h matter: may a control of the trust box violate its row, may any bring it to h = 0 in this
+ * period, or is it the nearest of all? */
 static int32_t matters(const dbk_model *model, const dbk_ctx *ctx, const link_pair *p, dbk_real h) {
-  return !(h > DBK_CULL_FLOOR && model->alpha_self * h >= p->speed && h + model->sampling >= ctx->h_min);
+  const dbk_real soon = model->period * (p->speed + p->beyond) + DBK_CULL_FLOOR;
+  return !(h > soon && model->alpha_self * h >= p->speed && h + model->sampling >= ctx->h_min);
 }
 
 /* lower bound of h between a ball at (x, y, z) of radius r and the spheres of link `far` */
@@ -141,7 +144,7 @@ static void meet_sphere(const dbk_model *model, const dbk_scene *scene, dbk_ctx 
                         const relative_motion *relative, int32_t i) {
   const glance it = look(model, &ctx->cloud, p, relative, i);
   ctx->h_min = dbk_min(ctx->h_min, it.least + model->sampling);
-  if (!(it.least >= model->period * p->speed + DBK_CULL_FLOOR)) { dbk_remember(ctx, p->first, p->count, -1 - i); }
+  if (!(it.least >= model->period * (p->speed + p->beyond) + DBK_CULL_FLOOR)) { dbk_remember(ctx, p->first, p->count, -1 - i); }
   if (it.binds) {
     dbk_batch w;
     weigh_sphere(model, ctx, p, relative, i, &w);
@@ -161,7 +164,8 @@ static void meet_link(const dbk_model *model, const dbk_scene *scene, dbk_ctx *c
   link_pair p = {far, from, upto, first, count,
                  model->self_margin + model->sampling + model->rounding + extra + held_error,
                  m->bend[near] + m->bend[far],
-                 closing_speed(model, m, near, far, from, upto)};
+                 closing_speed(model, m, near, far, from, upto), (dbk_real)0};
+  for (int32_t k = from; k < upto; ++k) { p.beyond += m->beyond[k] * model->link_reach[k][far]; }
   const dbk_real gap = gap_to(m, &p, m->bound_x[near], m->bound_y[near], m->bound_z[near], m->bound_r[near]);
   if (!matters(model, ctx, &p, gap)) { return; }
   relative_motion relative;

@@ -1,5 +1,5 @@
 /* One control step: refuse bad input, build rows, solve, check, certify, and always answer with an admissible control. */
-#include "dbk_math.h"
+#include "dbk_step.h"
 
 static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const dbk_in *in) {
   int32_t flags = 0;
@@ -28,9 +28,9 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
   return flags;
 }
 
-/* everything that the QP needs, at the lag-compensated state y = q + lag v */
-static int32_t build(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
-                     const dbk_real *u_prev, const dbk_real *change, dbk_real extra, int32_t known_only) {
+/* what does not hang on the rows, at the lag-compensated state y = q + lag v: the box, and where the spheres are */
+static int32_t locate(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                      const dbk_real *u_prev, const dbk_real *change) {
   dbk_real y[DBK_MAX_DOF];
   int32_t conflict = 0, room = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = in->q[k] + model->lag * in->v[k]; }
@@ -39,96 +39,86 @@ static int32_t build(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
   dbk_base(in, &ctx->frames);
   dbk_fk(model, y, &ctx->frames);
   dbk_spheres(model, scene, &ctx->frames, in->opening, &ctx->cloud);
+  return (conflict ? DBK_INFEASIBLE : 0) | (room ? 0 : DBK_JERK);
+}
+
+/* the rows that a control of the trust box could violate */
+static int32_t build(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
+                     int32_t known_only) {
   dbk_set_motion(model, scene, ctx);
-  dbk_build_rows(model, scene, ctx, in->scene_age, extra, known_only);
+  dbk_build_rows(model, scene, ctx, age, extra, known_only);
   return (ctx->rows.overflow ? DBK_ROW_OVERFLOW : 0) | (ctx->rows.stuck ? DBK_NO_GRADIENT : 0) |
-         (ctx->rows.unavoidable ? DBK_UNAVOIDABLE : 0) | (conflict ? DBK_INFEASIBLE : 0) | (room ? 0 : DBK_JERK);
+         (ctx->rows.unavoidable ? DBK_UNAVOIDABLE : 0);
 }
 
-/* the warm start in this step's numbering */
-static int32_t recall(const dbk_model *model, const dbk_ctx *ctx, int32_t ids[DBK_QP_DIM]) {
-  int32_t count = 0;
-  for (int32_t w = 0; w < ctx->n_warm; ++w) {
-    const int32_t kind = ctx->warm[w][0], i = ctx->warm[w][1], j = ctx->warm[w][2];
-    if (kind == DBK_ROW_LOWER) { ids[count++] = i; }
-    if (kind == DBK_ROW_UPPER) { ids[count++] = model->n + i; }
-    if (kind == DBK_ROW_OBSTACLE || kind == DBK_ROW_SELF || kind == DBK_ROW_USER) {
-      for (int32_t r = 0; r < ctx->rows.count; ++r) {
-        if (ctx->rows.i[r] == i && ctx->rows.j[r] == j && ctx->rows.kind[r] == kind) {
-          ids[count++] = 2 * model->n + r;
-          break;
-        }
-      }
-    }
-  }
-  return count;
+void dbk_all_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in) {
+  if (!ctx->trusted) { return; }
+  dbk_trust_all(model, ctx);
+  (void)build(model, scene, ctx, in->scene_age, (dbk_real)0, 0);
 }
 
-/* which of its limits a bound of the box comes from */
-static int32_t limit_of(const dbk_model *model, const dbk_ctx *ctx, int32_t k, int32_t upper) {
-  const dbk_real sign = upper ? (dbk_real)1 : (dbk_real)-1, dt = model->period;
-  const dbk_real bound = sign * (upper ? ctx->upper[k] : ctx->lower[k]), last = sign * ctx->u_prev[k];
-  const dbk_real step = model->a_max[k] * dt, near = (dbk_real)1e-3 * step;
-  const dbk_real jerk = last + sign * ctx->change[k] + model->j_max[k] * dt * dt;
-  if (bound >= model->v_max[k] - near) { return DBK_LIMIT_VELOCITY; }
-  if (bound >= last + step - near) { return DBK_LIMIT_ACCELERATION; }
-  return model->j_max[k] > (dbk_real)0 && dbk_abs(bound - jerk) <= near ? DBK_LIMIT_JERK : DBK_LIMIT_POSITION;
-}
-
-static void name_active(const dbk_model *model, const dbk_ctx *ctx, int32_t at, dbk_active *out) {
-  const int32_t id = ctx->solution.active[at], n = model->n;
-  out->multiplier = ctx->solution.multiplier[at];
-  if (id >= 2 * n) {
-    const int32_t r = id - 2 * n;
-    out->kind = ctx->rows.kind[r];
-    out->i = ctx->rows.i[r];
-    out->j = ctx->rows.j[r];
-    out->h = ctx->rows.h[r];
-  } else {
-    out->kind = id < n ? DBK_ROW_LOWER : DBK_ROW_UPPER;
-    out->i = id < n ? id : id - n;
-    out->j = limit_of(model, ctx, out->i, id >= n);
-    out->h = (dbk_real)0;
-  }
-}
-
-static void remember(const dbk_model *model, dbk_ctx *ctx, dbk_out *out) {
-  const int32_t count = ctx->solution.n_active;
-  out->n_active = count;
-  for (int32_t a = 0; a < count; ++a) { name_active(model, ctx, a, &out->active[a]); }
-  ctx->n_warm = count < DBK_QP_DIM ? count : 0;
-  for (int32_t a = 0; a < ctx->n_warm; ++a) {
-    ctx->warm[a][0] = out->active[a].kind;
-    ctx->warm[a][1] = out->active[a].i;
-    ctx->warm[a][2] = out->active[a].j;
-  }
-}
-
-/* closest control that meets box and rows; flags tell when there is none */
-static int32_t solve(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
-                     const dbk_real *brake, dbk_real *u, dbk_out *out) {
-  int32_t ids[DBK_QP_DIM];
-  const int32_t n = model->n;
+/* the nominal control as it is, where it meets everything */
+static int32_t nominal_holds(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, dbk_real *u, dbk_out *out) {
   out->iterations = out->n_active = out->relaxed = 0;
-  for (int32_t k = 0; k < n; ++k) { u[k] = u_nom[k]; }
-  if (dbk_check(&ctx->rows, n, ctx->lower, ctx->upper, u_nom, (dbk_real)0)) {
-    ctx->n_warm = 0;
-    return 0;
-  }
-  const int32_t warm = recall(model, ctx, ids);
-  const int32_t result = dbk_qp(&ctx->rows, n, model->scale, ctx->lower, ctx->upper, u_nom, 0, DBK_QP_SHIFT, ids, warm,
-                                &ctx->solution);
+  out->h_min = ctx->h_min;
+  out->n_rows = ctx->rows.count;
+  for (int32_t k = 0; k < model->n; ++k) { u[k] = u_nom[k]; }
+  if (!dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u_nom, (dbk_real)0)) { return 0; }
+  ctx->n_warm = 0;
+  return 1;
+}
+
+/* closest control that meets box and rows; the flag tells when there is none, and u then brakes */
+static int32_t optimise(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake, dbk_real *u,
+                        dbk_out *out) {
+  int32_t ids[DBK_QP_DIM];
+  const int32_t warm = dbk_recall(model, ctx, ids);
+  const int32_t result = dbk_qp(&ctx->rows, model->n, model->scale, ctx->lower, ctx->upper, u_nom, 0, DBK_QP_SHIFT, ids,
+                                warm, &ctx->solution);
   out->iterations = ctx->solution.iterations;
-  remember(model, ctx, out);
-  if (result == 1) {
-    out->relaxed = dbk_relax(model, scene, ctx, brake, u);
-    ctx->n_warm = 0;
-    return DBK_INFEASIBLE;
-  }
-  for (int32_t k = 0; k < n; ++k) {
+  dbk_remember_active(model, ctx, out);
+  for (int32_t k = 0; k < model->n; ++k) {
     u[k] = dbk_clamp(result == 0 ? ctx->solution.u[k] : brake[k], ctx->lower[k], ctx->upper[k]);
   }
-  return result == 2 ? DBK_QP_ITERATIONS : 0;
+  return result == 0 ? 0 : (result == 1 ? DBK_INFEASIBLE : DBK_QP_ITERATIONS);
+}
+
+/* the answer by the rows of the trust box: 1 where it is that of all rows, 0 where it lies outside, -1 where there is none */
+static int32_t solve_in_trust(const dbk_model *model, dbk_ctx *ctx, const dbk_real *u_nom, const dbk_real *brake,
+                              dbk_real *u, dbk_out *out) {
+  if (nominal_holds(model, ctx, u_nom, u, out)) { return dbk_in_trust(model, ctx, u); }
+  if (optimise(model, ctx, u_nom, brake, u, out) ||
+      !dbk_check(&ctx->rows, model->n, ctx->lower, ctx->upper, u, DBK_CHECK_TOL)) {
+    ctx->n_warm = 0;
+    return -1;
+  }
+  return dbk_in_trust(model, ctx, u);
+}
+
+/* looks where the answer is expected, then around what was found there; 1 where that led to the answer by all rows */
+static int32_t search(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                      const dbk_real *u_prev, dbk_real extra, int32_t known_only, const dbk_real *brake, dbk_real *u,
+                      dbk_out *out) {
+  int32_t found = 0;
+  dbk_trust_near(model, ctx, ctx->n_warm > 0 ? u_prev : in->u_nom);
+  for (int32_t tries = 0; ctx->trusted && found == 0 && tries < DBK_TRUST_TRIES; ++tries) {
+    if (tries > 0) { dbk_trust_near(model, ctx, u); }
+    if (build(model, scene, ctx, in->scene_age, extra, known_only)) { return 0; }
+    found = solve_in_trust(model, ctx, in->u_nom, brake, u, out);
+  }
+  return found > 0;
+}
+
+/* the answer by all rows, or the least violation of them */
+static int32_t solve_all(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_real *u_nom,
+                         const dbk_real *brake, dbk_real *u, dbk_out *out) {
+  if (nominal_holds(model, ctx, u_nom, u, out)) { return 0; }
+  const int32_t failed = optimise(model, ctx, u_nom, brake, u, out);
+  if (failed & DBK_INFEASIBLE) {
+    out->relaxed = dbk_relax(model, scene, ctx, brake, u);
+    ctx->n_warm = 0;
+  }
+  return failed;
 }
 
 /* keep u if the next step is certified; else go from u toward braking, never toward zero, until it is. If nothing is, what
@@ -155,37 +145,6 @@ static int32_t certify(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   return 0;
 }
 
-static dbk_real distance_w(const dbk_model *model, const dbk_real *a, const dbk_real *b) {
-  dbk_real square = (dbk_real)0;
-  for (int32_t k = 0; k < model->n; ++k) {
-    const dbk_real e = (a[k] - b[k]) / model->v_max[k];
-    square += e * e;
-  }
-  return dbk_sqrt(square / (dbk_real)model->n);
-}
-
-/* delta = |u - u_nom|_W, W = diag(1/v_max^2)/n, saturated at 2. To the box only what remains with the box around the
- * previous nominal: what phi itself could not have followed; the rest is the rows' (paper 4.4) */
-static void measure(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in, dbk_out *out) {
-  dbk_real clipped[DBK_MAX_DOF];
-  const int32_t finite = dbk_all_finite(in->u_nom, model->n);
-  if (!finite) {
-    out->delta = out->delta_rows = (dbk_real)2;
-    out->delta_box = (dbk_real)0;
-    return;
-  }
-  for (int32_t k = 0; k < model->n; ++k) {
-    const dbk_real step = model->a_max[k] * model->period, last = ctx->u_nom_prev[k];
-    const dbk_real within = dbk_clamp(in->u_nom[k], last - step, last + step);
-    clipped[k] = dbk_clamp(within, -model->v_max[k], model->v_max[k]);
-    ctx->u_nom_prev[k] = in->u_nom[k];
-  }
-  const dbk_real delta = distance_w(model, out->u, in->u_nom), box = distance_w(model, clipped, in->u_nom);
-  out->delta = delta <= (dbk_real)2 ? delta : (dbk_real)2;
-  out->delta_box = dbk_min(out->delta, box <= (dbk_real)2 ? box : (dbk_real)2);
-  out->delta_rows = out->delta - out->delta_box;
-}
-
 static dbk_status finish(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in, dbk_status status, int32_t flags,
                          int32_t certified, const dbk_real *u, dbk_out *out) {
   for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
@@ -198,36 +157,58 @@ static dbk_status finish(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in,
   out->status = (int32_t)status;
   out->flags = flags;
   out->certified = certified;
-  measure(model, ctx, in, out);
+  dbk_measure(model, ctx, in, out);
   return status;
+}
+
+static dbk_status refuse(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in, int32_t flags, const dbk_real *brake,
+                         dbk_out *out) {
+  out->h_min = DBK_UNKNOWN;
+  out->iterations = out->n_rows = out->n_active = out->relaxed = 0;
+  ctx->n_warm = ctx->trusted = ctx->rows.count = 0;
+  return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
+}
+
+static dbk_status passed(const dbk_model *model, dbk_ctx *ctx, const dbk_in *in, int32_t flags, const dbk_real *u,
+                         dbk_out *out) {
+  int32_t same = 1;
+  for (int32_t k = 0; k < model->n; ++k) { same &= u[k] == in->u_nom[k]; }
+  return finish(model, ctx, in, same ? DBK_SAFE : DBK_MODIFIED, flags, 1, u, out);
+}
+
+/* the step by all rows that a control of the box could violate */
+static dbk_status step_in_box(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
+                              int32_t flags, const dbk_real *brake, dbk_out *out) {
+  dbk_real u[DBK_MAX_DOF];
+  dbk_trust_all(model, ctx);
+  flags |= build(model, scene, ctx, in->scene_age, (dbk_real)0, 0);
+  if (flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT)) {
+    out->h_min = ctx->h_min;
+    out->n_rows = ctx->rows.count;
+    out->iterations = out->n_active = out->relaxed = 0;
+    return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
+  }
+  flags |= solve_all(model, scene, ctx, in->u_nom, brake, u, out);
+  if (flags & DBK_QP_ITERATIONS) { return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out); }
+  const int32_t relaxed = (flags & (DBK_INFEASIBLE | DBK_UNAVOIDABLE)) != 0;
+  const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u);
+  if (!certified) { return finish(model, ctx, in, DBK_FAULT, flags | DBK_UNCERTIFIED, 0, u, out); }
+  if (relaxed) { return finish(model, ctx, in, DBK_RELAXED, flags, 1, u, out); }
+  return passed(model, ctx, in, flags, u, out);
 }
 
 dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in, dbk_out *out) {
   dbk_real brake[DBK_MAX_DOF], u[DBK_MAX_DOF];
   dbk_brake(model, ctx->u_prev, brake);
-  out->h_min = (dbk_real)0;
-  out->iterations = out->n_rows = out->n_active = out->relaxed = 0;
-  int32_t flags = input_flags(model, scene, in);
-  if (flags) {
-    ctx->n_warm = 0;
-    return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
-  }
-  flags = build(model, scene, ctx, in, ctx->u_prev, ctx->change, (dbk_real)0, 0);
-  out->h_min = ctx->h_min;
-  out->n_rows = ctx->rows.count;
+  const int32_t refused = input_flags(model, scene, in);
+  if (refused) { return refuse(model, ctx, in, refused, brake, out); }
+  const int32_t flags = locate(model, scene, ctx, in, ctx->u_prev, ctx->change);
   for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
-  if (flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT)) {
-    return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out);
+  if (!(flags & DBK_INFEASIBLE) && search(model, scene, ctx, in, ctx->u_prev, (dbk_real)0, 0, brake, u, out) &&
+      dbk_certify(model, scene, ctx, in, u)) {
+    return passed(model, ctx, in, flags, u, out);
   }
-  flags |= solve(model, scene, ctx, in->u_nom, brake, u, out);
-  if (flags & DBK_QP_ITERATIONS) { return finish(model, ctx, in, DBK_STOPPED, flags, 0, brake, out); }
-  const int32_t relaxed = (flags & (DBK_INFEASIBLE | DBK_UNAVOIDABLE)) != 0;
-  const int32_t certified = certify(model, scene, ctx, in, brake, relaxed, u);
-  if (!certified) { return finish(model, ctx, in, DBK_FAULT, flags | DBK_UNCERTIFIED, 0, u, out); }
-  int32_t same = 1;
-  for (int32_t k = 0; k < model->n; ++k) { same &= u[k] == in->u_nom[k]; }
-  const dbk_status status = relaxed ? DBK_RELAXED : (same ? DBK_SAFE : DBK_MODIFIED);
-  return finish(model, ctx, in, status, flags, certified, u, out);
+  return step_in_box(model, scene, ctx, in, flags, brake, out);
 }
 
 dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
@@ -237,10 +218,15 @@ dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
   dbk_brake(model, u_prev, brake);
   int32_t flags = input_flags(model, scene, in);
   if (!flags) {
-    flags = build(model, scene, ctx, in, u_prev, 0, extra, 1);
+    flags = locate(model, scene, ctx, in, u_prev, 0);
     for (int32_t k = 0; k < model->n; ++k) { brake[k] = dbk_clamp(brake[k], ctx->lower[k], ctx->upper[k]); }
+    if (!(flags & DBK_INFEASIBLE) && search(model, scene, ctx, in, u_prev, extra, 1, brake, u, &ignored)) {
+      return DBK_MODIFIED;
+    }
+    dbk_trust_all(model, ctx);
+    flags |= build(model, scene, ctx, in->scene_age, extra, 1);
     if (!(flags & (DBK_ROW_OVERFLOW | DBK_NO_GRADIENT))) {
-      flags |= solve(model, scene, ctx, in->u_nom, brake, u, &ignored);
+      flags |= solve_all(model, scene, ctx, in->u_nom, brake, u, &ignored);
       if (!(flags & DBK_QP_ITERATIONS)) { return (flags & DBK_INFEASIBLE) ? DBK_RELAXED : DBK_MODIFIED; }
     }
   }

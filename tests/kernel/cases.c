@@ -442,6 +442,35 @@ static void projection(golden_result *g) {
   }
 }
 
+/* a box that is wide: rows are looked for where the answer is expected, then where it turned out to be, then everywhere;
+ * afterwards they are completed */
+static void wide_box(golden_result *g) {
+  for (uint64_t run = 0; run < 3; ++run) {
+    uint64_t state = run + 900;
+    dbk_real u_prev[DBK_MAX_DOF] = {0};
+    start();
+    for (int k = 0; k < model.n; ++k) { model.a_max[k] = run == 2 ? (dbk_real)200 : (dbk_real)1e4; }
+    for (int o = 0; o < 12; ++o) {
+      const double x = 0.6 * chance(&state) - 0.3, y = 0.6 * chance(&state) - 0.3;
+      near_tool(x, y, 0.15 + 0.2 * chance(&state), 0.03)->flags |= DBK_KNOWN;
+    }
+    dbk_scene_prepare(&scene);
+    for (int t = 0; t < 300; ++t) {
+      if (t % 40 == 0) {
+        for (int k = 0; k < model.n; ++k) { in.u_nom[k] = between(&state, -2.2, 2.2); }
+      }
+      project(g, u_prev, (dbk_real)5e-4);
+      step(g);
+      memcpy(u_prev, out.u, sizeof u_prev);
+      if (t % 7 == 0) {
+        dbk_all_rows(&model, &scene, &ctx, &in);
+        mix_int(g, ctx.rows.count);
+      }
+      for (int k = 0; k < model.n; ++k) { in.q[k] += model.period * out.u[k]; }
+    }
+  }
+}
+
 /* rows that a user hands in: met, binding, conflicting, and without a direction */
 static void user_rows(golden_result *g) {
   for (int run = 0; run < 4; ++run) {
@@ -613,7 +642,7 @@ static const struct {
     {"permits", permits},       {"recovery", recovery},         {"joint_limits", joint_limits},
     {"closing_in", closing_in}, {"too_late", too_late},         {"uncertain", uncertain},
     {"refusals", refusals},     {"no_way_out", no_way_out},     {"overflow", overflow},
-    {"projection", projection}, {"user_rows", user_rows},       {"separation", separation},
+    {"projection", projection}, {"user_rows", user_rows},       {"separation", separation}, {"wide_box", wide_box},
     {"jerk", jerk},             {"sliding", sliding},           {"mobile_base", mobile_base},
     {"parts", parts},           {"programs", programs},
 };

@@ -29,7 +29,7 @@ static int admissible(const dbk_real before[DBK_MAX_DOF], const dbk_out *out) {
     if (!(u >= -(double)model.v_max[k] && u <= (double)model.v_max[k])) { return 0; }
     if (!(u >= (double)before[k] - step && u <= (double)before[k] + step)) { return 0; }
   }
-  return out->delta >= 0 && out->delta <= 2 && out->delta_rows >= 0 && out->delta_box >= 0 && out->h_min - out->h_min == 0;
+  return out->delta >= 0 && out->delta <= 2 && out->delta_rows >= 0 && out->delta_box >= 0 && (out->h_min - out->h_min == 0 || out->status == DBK_STOPPED);
 }
 
 int main(int argc, char **argv) {

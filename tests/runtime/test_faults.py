@@ -82,7 +82,7 @@ def test_a_target_that_is_gone_ends_the_contract_stopped():
 
 @pytest.mark.parametrize("when", [0.05, 0.45], ids=["in the action", "while it settles"])
 def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
-    world, outcome, _ = run(lambda t: crowd(60 if t > when else 3), Action("hold", {"duration": 0.4}))
+    world, outcome, _ = run(lambda t: crowd(600 if t > when else 3), Action("hold", {"duration": 0.4}))
     assert outcome.kind == "stopped"
     assert "obstacles at once" in outcome.reason
     assert world.stopped
@@ -90,7 +90,7 @@ def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
 
 def test_a_fault_after_an_interruption_leaves_it_an_interruption():
     world, outcome, _ = run(
-        lambda t: crowd(60 if t > 0.02 else 3), Action("hold", {"duration": 0.4}), interrupted=lambda: True
+        lambda t: crowd(600 if t > 0.02 else 3), Action("hold", {"duration": 0.4}), interrupted=lambda: True
     )
     assert outcome.kind == "aborted"
     assert world.stopped

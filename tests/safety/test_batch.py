@@ -53,7 +53,7 @@ def same(batch, answers):
     assert np.array_equal(batch.u, [answer.u for answer in answers])
     assert batch.status.tolist() == [answer.status for answer in answers]
     assert np.array_equal(batch.delta, [answer.delta for answer in answers])
-    assert np.array_equal(batch.h_min, [answer.h_min for answer in answers])
+    assert np.array_equal(batch.h_min, [answer.h_min for answer in answers], equal_nan=True)
 
 
 @settings(max_examples=15, deadline=None)

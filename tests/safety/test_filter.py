@@ -356,7 +356,7 @@ def test_wrong_programs_are_told(safety):
     with pytest.raises(InvalidSetup):
         safety.attach(np.zeros((9, 4)), 0.0)
     with pytest.raises(InvalidSetup):
-        safety.observe([TABLE] * 60, 0.0)
+        safety.observe([TABLE] * 513, 0.0)
     with pytest.raises(InvalidSetup):
         SafetyFilter(PANDA, weight=-np.eye(7))
 

@@ -123,7 +123,8 @@ typedef struct {
 
 typedef struct {
   dbk_real u[DBK_MAX_DOF];
-  dbk_real delta, delta_rows, delta_box, h_min;
+  dbk_real delta, delta_rows, delta_box;
+  dbk_real h_min; /* NaN where the input was refused: nothing was measured */
   int32_t status, flags, certified, iterations, n_rows, n_active;
   int32_t relaxed; /* bit r: rows of rank r were given up in part */
   dbk_active active[DBK_QP_DIM + 1]; /* binding rows, or the conflicting ones when relaxed */
@@ -159,16 +160,19 @@ typedef struct {
   int32_t count;
 } dbk_cloud;
 
-/* how sphere centres move under the middle of the box, and how much the box can change that */
+/* how sphere centres move: velocities under the middle of the trust box and how much that box can change them, and
+ * accelerations under the middle of the whole box */
 typedef struct {
   dbk_real vx[DBK_SPHERE_ROOM], vy[DBK_SPHERE_ROOM], vz[DBK_SPHERE_ROOM];
   dbk_real ax[DBK_SPHERE_ROOM], ay[DBK_SPHERE_ROOM], az[DBK_SPHERE_ROOM];
   dbk_real spread[DBK_SPHERE_ROOM];
-  dbk_real fast[DBK_MAX_DOF], wide[DBK_MAX_DOF]; /* greatest |u| of the box, and half its width, with the tracking error */
+  dbk_real fast[DBK_MAX_DOF], wide[DBK_MAX_DOF]; /* greatest |u| there, and half its width, with the tracking error */
+  dbk_real beyond[DBK_MAX_DOF];                  /* the whole box reaches so much farther than the trust box */
   dbk_real twist[DBK_MAX_DOF + 1][6];            /* of every frame about the base origin: angular, linear */
   dbk_real bound_x[DBK_ALL_LINKS], bound_y[DBK_ALL_LINKS], bound_z[DBK_ALL_LINKS], bound_r[DBK_ALL_LINKS];
   dbk_real inner[DBK_ALL_LINKS]; /* see dbk_ball */
-  dbk_real speed[DBK_ALL_LINKS]; /* no sphere of the link can be faster within the box */
+  dbk_real speed[DBK_ALL_LINKS]; /* no sphere of the link can be faster within the trust box */
+  dbk_real haste[DBK_ALL_LINKS]; /* nor faster than this within the whole box */
   dbk_real bend[DBK_ALL_LINKS];  /* nor ask for more because of its acceleration: half a period times that [m/s] */
 } dbk_motion;
 
@@ -190,6 +194,8 @@ typedef struct {
   dbk_visits visits;
   dbk_solution solution;
   dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], h_min;
+  dbk_real trust_lower[DBK_MAX_DOF], trust_upper[DBK_MAX_DOF]; /* where rows are looked for; see dbk_trust.c */
+  int32_t trusted;                                             /* that is less than the whole box */
 } dbk_ctx;
 
 /* once per model and per scene */
@@ -200,6 +206,10 @@ void dbk_init(dbk_ctx *ctx);
 
 /* one control step: closest safe control to u_nom; out->u is always finite and within the acceleration box */
 dbk_status dbk_step(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in, dbk_out *out);
+
+/* completes ctx->rows after a step by those that were left out because its answer could not violate them; `in` and `scene`
+ * are still those of the step */
+void dbk_all_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in);
 
 /* the same rows on known obstacles with `extra` clearance and the box around u_prev; no certificate, no memory of u */
 dbk_status dbk_project(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,

@@ -24,7 +24,7 @@ typedef float dbk_real;
 #define DBK_MAX_PAIRS 96 /* link pairs that are kept apart */
 #endif
 #ifndef DBK_MAX_OBSTACLES
-#define DBK_MAX_OBSTACLES 48 /* a multiple of DBK_LANES */
+#define DBK_MAX_OBSTACLES 512 /* a multiple of DBK_LANES; a microcontroller takes 48 */
 #endif
 #ifndef DBK_MAX_ROWS
 #define DBK_MAX_ROWS 512 /* rows that may bind in one step; a multiple of DBK_LANES */
@@ -66,6 +66,8 @@ typedef float dbk_real;
 #define DBK_GIVEN_UP ((dbk_real)1e-4)      /* [m/s] a rank that is violated by less does not count as given up */
 #define DBK_ZERO_GRADIENT ((dbk_real)1e-4) /* [m/rad] a row with a smaller normal cannot be acted upon */
 #define DBK_CULL_FLOOR ((dbk_real)1e-3)    /* [m] pairs nearer than this are never culled */
+#define DBK_TRUST_TRIES 3                  /* trust boxes that are tried before the whole box is taken */
+#define DBK_TRUST ((dbk_real)0.02)         /* half the width of the trust box, as a share of v_max */
 #define DBK_FAR_OUTSIDE ((dbk_real)0.2)    /* [rad] beyond a joint limit by more: the state is not believed */
 
 #endif

@@ -41,6 +41,8 @@ def live_text(name: str, value: float | str | None) -> str:
     """A live number as text in the unit of its row."""
     if isinstance(value, str) or value is None:
         return value or "–"
+    if np.isnan(value):  # h_min of a refused input: nothing was measured
+        return "–"
     if name == "h_min":
         return millimetres(value)
     if name == "intervention_frequency":

@@ -81,9 +81,10 @@ class FlightLog:
         if kind == "declined" or not len(chosen):
             return Outcome(kind, reason, actions=actions)
         delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
+        h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
         return Outcome(
             kind, reason,
             Delta=float(delta.mean()), Delta_sum=float(delta.sum()), delta_peak=float(delta.max()),
-            intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()),
+            intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()) if len(h) else None,
             duration=float(t[-1] - t[0]), actions=actions,
         )  # fmt: skip

@@ -1,7 +1,10 @@
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from dualbrain.safety.result import Filtered, Names, Status
 
 Array = NDArray[np.float64]
 
@@ -23,11 +26,17 @@ class Kernel:
     def constrain(self, rows: Array) -> None: ...
     def stand(self, pose: Array) -> None: ...
     def reset(self, u_prev: Array) -> None: ...
+    def answer_with(self, type: Callable[..., Filtered], statuses: tuple[Status, ...]) -> None: ...
     def step(
-        self, q: Array, v: Array, u_nom: Array, opening: float, state_age: float, scene_age: float, u: Array
-    ) -> tuple[
-        int, int, float, float, float, float, bool, int, int, tuple[tuple[int, int, int, float, float], ...], int
-    ]: ...
+        self,
+        q: ArrayLike,
+        v: ArrayLike,
+        u_nom: ArrayLike,
+        opening: float,
+        state_age: float,
+        scene_age: float,
+        names: Names,
+    ) -> Filtered: ...
     def batch(
         self,
         q: Array,

@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 class Batch(msgspec.Struct, frozen=True, eq=False):
     """m answers of the filter.
 
-    `u` (m, n) [rad/s]; `status` (m,), values of `Status`; `delta` (m,); `h_min` (m,) [m], 0 where the input was
-    refused.
+    `u` (m, n) [rad/s]; `status` (m,), values of `Status`; `delta` (m,); `h_min` (m,) [m], NaN where the input
+    was refused.
     """
 
     u: Array

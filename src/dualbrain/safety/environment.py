@@ -7,7 +7,7 @@ environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isclose
+from math import isclose, isnan, nan
 from typing import Any, Protocol, SupportsFloat
 
 import numpy as np
@@ -197,7 +197,7 @@ def _told(answers: Sequence[Filtered]) -> dict[str, Any]:
     return {
         "cost": sum(answer.delta for answer in answers) / len(answers),
         "cost_rows": sum(answer.delta_rows for answer in answers) / len(answers),
-        "h_min": min(answer.h_min for answer in answers),
+        "h_min": min((answer.h_min for answer in answers if not isnan(answer.h_min)), default=nan),
         "status": max(answer.status for answer in answers).name,
         "safety": max(answers, key=lambda answer: answer.delta).explain(),
     }

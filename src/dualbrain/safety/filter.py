@@ -19,16 +19,15 @@ from dualbrain.safety.native import make_kernel, obstacle_rows, tool_frame
 from dualbrain.safety.obstacles import Obstacle, Separation
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.result import Filtered, Names, Status
-from dualbrain.safety.rows import LiveBarrier, Rank, Row, row_table
+from dualbrain.safety.rows import BarrierRow, LiveBarrier, Rank, Row, row_table
 
 __all__ = [
-    "Contact", "FilterConfig", "Filtered", "LiveBarrier", "Obstacle", "Rank", "Row", "SafetyFilter", "Separation",
-    "Status", "ToolState",
+    "BarrierRow", "Contact", "FilterConfig", "Filtered", "LiveBarrier", "Obstacle", "Rank", "Row", "SafetyFilter",
+    "Separation", "Status", "ToolState",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
 
-STATUSES = tuple(Status)
 HELD = "held"
 MAX_ROWS = 16
 """Rows that may be handed in for one step."""
@@ -63,6 +62,7 @@ class SafetyFilter:
         self._n = body.n
         self._mobile = body.base == "differential"
         self._barriers = tuple(barriers)
+        self._anew = self._mobile or bool(self._barriers)
         self._rows: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
         self._stamp = 0.0
@@ -150,27 +150,47 @@ class SafetyFilter:
 
         With moving obstacles `now` [s] must be the time on the clock of `observe`'s stamps; the state counts as fresh.
         """
-        if not (type(q) is type(v) is type(u_nom) is np.ndarray):
-            q, v, u_nom = (np.ascontiguousarray(x, float) for x in (q, v, u_nom))
-        if self._mobile or self._barriers:
+        if self._anew:
+            q, v = np.asarray(q, float), np.asarray(v, float)
             return self.filter(RobotState(now, 0, q, v, opening, (0.0, 0.0)), u_nom, now)
-        return self._step(q, v, u_nom, opening, 0.0, now - self._stamp)
+        try:
+            return self._kernel.step(q, v, u_nom, opening, 0.0, now - self._stamp, self._names)
+        except ValueError:
+            raise self._misfit(q=q, v=v, u_nom=u_nom) from None
 
     def filter(self, state: RobotState, u_nom: Array, now: float) -> Filtered:
         """One control step; to be called once per period, as it owns the last control and the warm start."""
         state = self._ready(state)
-        return self._step(state.q, state.v, u_nom, state.opening, now - state.stamp, now - self._stamp)
+        ages = (now - state.stamp, now - self._stamp)
+        try:
+            return self._kernel.step(state.q, state.v, u_nom, state.opening, *ages, self._names)
+        except ValueError:
+            raise self._misfit(q=state.q, v=state.v, u_nom=u_nom) from None
 
-    def _step(
-        self, q: Array, v: Array, u_nom: Array, opening: float, state_age: float, scene_age: float
-    ) -> Filtered:  # fmt: skip
-        u = np.empty(self._n)
-        answer = self._kernel.step(q, v, u_nom, opening, state_age, scene_age, u)
-        status, flags, delta, by_rows, by_box, h_min, certified, iterations, n_rows, rows, relaxed = answer
-        return Filtered(
-            u, u_nom, self._names, STATUSES[status], flags, delta, by_rows, by_box, h_min, certified, iterations,
-            n_rows, rows, relaxed,
-        )  # fmt: skip
+    def _misfit(self, **given: object) -> InvalidSetup:
+        """Which of the arrays is not (n,) numbers."""
+        allowed = f"an array ({self.body.n},) of numbers"
+        for name, values in given.items():
+            try:
+                shape = np.asarray(values, float).shape
+            except (TypeError, ValueError):
+                return InvalidSetup(f"{name} of a step", got=values, allowed=allowed)
+            if shape != (self.body.n,):
+                return InvalidSetup(f"{name} of a step", got=shape, allowed=allowed)
+        return InvalidSetup("the arrays of a step", got=[type(v).__name__ for v in given.values()], allowed=allowed)
+
+    def rows(self) -> tuple[BarrierRow, ...]:
+        """Every row of the last step that a control of its box could have violated, or whose pair was within 1 mm.
+
+        In the order of the kernel, the first 512 where there are more; joint limits are not among them, they are bounds
+        of the box. Right sides are those of the relaxation where no control met all. To be asked before the obstacles
+        are changed; none after an input that was refused.
+        """
+        names = self._names
+        return tuple(
+            BarrierRow(names.row(kind, i, j), names.barrier(kind, i, j), h, np.array(a), b, norm, kind, i, j)
+            for kind, i, j, h, norm, b, a in self._kernel.rows()
+        )
 
     def batch(
         self, Q: Array, V: Array, U: Array, now: float = 0.0, *, u_prev: Array | None = None,
@@ -199,10 +219,13 @@ class SafetyFilter:
         """
         state = self._ready(state)
         u = np.empty(self.body.n)
-        self._kernel.project(
-            state.q, state.v, u_wish, u_nom_prev, state.opening, now - state.stamp, now - self._stamp,
-            self.config.projection_margin, u,
-        )  # fmt: skip
+        ages = (now - state.stamp, now - self._stamp)
+        try:
+            self._kernel.project(
+                state.q, state.v, u_wish, u_nom_prev, state.opening, *ages, self.config.projection_margin, u
+            )
+        except ValueError:
+            raise self._misfit(q=state.q, v=state.v, u_wish=u_wish, u_nom_prev=u_nom_prev) from None
         return u
 
     def _ready(self, state: RobotState) -> RobotState:

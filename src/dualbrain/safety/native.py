@@ -16,6 +16,7 @@ from dualbrain.safety import _kernel
 from dualbrain.safety._kernel import Kernel
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.result import Filtered, Status
 
 Array = NDArray[np.float64]
 
@@ -36,8 +37,11 @@ def make_kernel(body: Body, config: FilterConfig, weight: Array | None = None) -
     if config.real == "float64":
         from dualbrain.safety import _kernel64  # noqa: PLC0415  # the test build stays unloaded otherwise
 
-        return _kernel64.Kernel(model_of(body, config, weight))
-    return Kernel(model_of(body, config, weight))
+        kernel = _kernel64.Kernel(model_of(body, config, weight))
+    else:
+        kernel = Kernel(model_of(body, config, weight))
+    kernel.answer_with(Filtered, tuple(Status))
+    return kernel
 
 
 def model_of(body: Body, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:

@@ -107,8 +107,9 @@ class Filtered(msgspec.Struct, frozen=True, eq=False):
 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
     `delta_rows`, `delta_box` and, where an order stood above it, `delta_supervisor`; `h_min` [m] the smallest barrier
-    value of all pairs without a permit; `certified`: h(y + dt u) ≥ 0, or no deeper than before; `iterations` of the QP;
-    `n_rows` that could bind in this step; `relaxed` has bit r set when rows of rank r were given up in part.
+    value of all pairs without a permit, NaN where the input was refused and nothing was measured; `certified`: h(y + dt
+    u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that were stated to it; `relaxed` has bit r set
+    when rows of rank r were given up in part.
     """
 
     u: Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -40,6 +40,25 @@ class Row(msgspec.Struct, frozen=True):
     b: float
     h: float = 0.0
     rank: Rank = Rank.TASK
+
+
+class BarrierRow(NamedTuple):
+    """One row a'u ≥ b of the last step as the filter stated it, a unit row: b and a'u in rad/s.
+
+    `name` says whose row it is and `barrier` of which barrier; `h` [m] is its barrier value without the sampling
+    margin, `norm` [m/rad] the length of its normal before it was made a unit row. `kind`, `i`, `j` are the kernel's
+    own indices.
+    """
+
+    name: str
+    barrier: str
+    h: float
+    a: Array
+    b: float
+    norm: float
+    kind: int
+    i: int
+    j: int
 
 
 class LiveBarrier(Protocol):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dualbrain.errors import InvalidSetup
 from dualbrain.safety.episode import Episode, OpenEpisode
 from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.result import OBSTACLE, SELF, Filtered, Names, Reason, Status
+from dualbrain.safety.result import OBSTACLE, SELF, Filtered, Reason, Status
 
 Array = NDArray[np.float64]
 
@@ -185,7 +185,7 @@ class Shadow:
         refused = answer.flags & REFUSED != 0
         changed = answer.delta > self._dead_band or answer.status > Status.MODIFIED
         deepest = not refused and answer.h_min < self._h_min
-        nearest = self._nearest(answer.names) if (changed or deepest) and not refused else ""
+        nearest = self._nearest() if (changed or deepest) and not refused else ""
         tick = Tick(now, answer.delta, answer.status, None if refused else answer.h_min, nearest)
         self.recent.append(tick)
         self._ticks, self._changed, self._refused = self._ticks + 1, self._changed + changed, self._refused + refused
@@ -197,11 +197,10 @@ class Shadow:
             self._largest = tick
         self._follow(tick, changed, answer, u_prev)
 
-    def _nearest(self, names: Names) -> str:
+    def _nearest(self) -> str:
         """The pair of least h among the rows of the last step."""
-        rows = self.safety._kernel.rows()  # pyright: ignore[reportPrivateUsage]
-        pairs = [row for row in rows if row[0] in (OBSTACLE, SELF)]
-        return names.row(*min(pairs, key=lambda row: row[3])[:3]) if pairs else ""
+        pairs = [row for row in self.safety.rows() if row.kind in (OBSTACLE, SELF)]
+        return min(pairs, key=lambda row: row.h).name if pairs else ""
 
     def _follow(self, tick: Tick, changed: bool, answer: Filtered, u_prev: Array) -> None:
         """Open, extend or end an episode."""

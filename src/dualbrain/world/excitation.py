@@ -7,7 +7,7 @@ assumes a lag and an error of its own here, so that nothing that was identified 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -99,8 +99,8 @@ def _held(body: Body, rng: np.random.Generator, aim: Callable[[SafetyFilter], Ar
 
 
 def _nearest(safety: SafetyFilter) -> Array | None:
-    rows: list[Any] = safety._kernel.rows()  # pyright: ignore[reportPrivateUsage]
-    return np.array(min(rows, key=lambda row: row[3])[6]) if rows else None
+    rows = safety.rows()
+    return min(rows, key=lambda row: row.h).a if rows else None
 
 
 _WISHES: dict[str, Callable[[Body, np.random.Generator], Wish]] = {

@@ -1,0 +1,115 @@
+/* The normals of rows in joint space, n'J, span by span: one column of numbers for each joint. */
+#include "dbk_pair.h"
+
+/* n'J_k of rows that lie side by side, first..first+count-1, up to full vectors: what is written behind the last one is
+ * written again by the next span */
+typedef struct {
+  int32_t first, count;
+  dbk_real *square, *total; /* sums of squares and of sizes over the joints */
+} columns;
+
+/* the axes z_k of the joints and points p_k on them */
+typedef struct {
+  dbk_real zx[DBK_MAX_DOF], zy[DBK_MAX_DOF], zz[DBK_MAX_DOF], px[DBK_MAX_DOF], py[DBK_MAX_DOF], pz[DBK_MAX_DOF];
+  int32_t slides[DBK_MAX_DOF];
+} axes;
+
+static axes axes_of(const dbk_model *model, const dbk_frames *frames) {
+  axes out = {{0}, {0}, {0}, {0}, {0}, {0}, {0}};
+  for (int32_t k = 0; k < model->n; ++k) {
+    out.zx[k] = frames->rotation[k + 1][2];
+    out.zy[k] = frames->rotation[k + 1][5];
+    out.zz[k] = frames->rotation[k + 1][8];
+    out.px[k] = frames->origin[k + 1][0];
+    out.py[k] = frames->origin[k + 1][1];
+    out.pz[k] = frames->origin[k + 1][2];
+    out.slides[k] = model->joint_kind[k] == DBK_PRISMATIC;
+  }
+  return out;
+}
+
+/* velocity of the centre c of a sphere at unit speed of joint k: z_k x (c - p_k), or z_k where it slides */
+typedef struct {
+  dbk_real x[DBK_MAX_DOF], y[DBK_MAX_DOF], z[DBK_MAX_DOF];
+} lever;
+
+static inline void levers(const axes *at, const dbk_cloud *cloud, int32_t sphere, lever *restrict out) {
+  const dbk_real cx = cloud->x[sphere], cy = cloud->y[sphere], cz = cloud->z[sphere];
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
+    const dbk_real x = cx - at->px[k], y = cy - at->py[k], z = cz - at->pz[k];
+    const dbk_real zx = at->zx[k], zy = at->zy[k], zz = at->zz[k];
+    out->x[k] = at->slides[k] ? zx : zy * z - zz * y;
+    out->y[k] = at->slides[k] ? zy : zz * x - zx * z;
+    out->z[k] = at->slides[k] ? zz : zx * y - zy * x;
+  }
+}
+
+/* rows of one sphere: n'J_k with its levers */
+static inline void fill_for_sphere(const lever *j, int32_t k, const columns *at, dbk_rows *restrict rows) {
+  const dbk_real jx = j->x[k], jy = j->y[k], jz = j->z[k];
+  const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
+  dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
+  for (int32_t r = 0; r < at->count; ++r) {
+    const dbk_real mine = jx * nx[r] + jy * ny[r] + jz * nz[r];
+    a[r] = mine;
+    square[r] += mine * mine;
+    total[r] += mine < (dbk_real)0 ? -mine : mine;
+  }
+}
+
+/* of several spheres: z_k'(c x n) - n'(z_k x p_k), or n'z_k where joint k slides */
+static inline void fill_for_several(const axes *axis, int32_t k, const columns *at, dbk_rows *restrict rows) {
+  const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
+  const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
+  const int32_t slides = axis->slides[k];
+  const dbk_real tx = slides ? (dbk_real)0 : zx, ty = slides ? (dbk_real)0 : zy, tz = slides ? (dbk_real)0 : zz;
+  const dbk_real mx = slides ? -zx : zy * pz - zz * py, my = slides ? -zy : zz * px - zx * pz;
+  const dbk_real mz = slides ? -zz : zx * py - zy * px;
+  const dbk_real *rx = rows->mx + at->first, *ry = rows->my + at->first, *rz = rows->mz + at->first;
+  const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
+  dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
+  for (int32_t r = 0; r < at->count; ++r) {
+    const dbk_real mine = (tx * rx[r] + ty * ry[r] + tz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
+    a[r] = mine;
+    square[r] += mine * mine;
+    total[r] += mine < (dbk_real)0 ? -mine : mine;
+  }
+}
+
+/* c x n, with c the centre of each row's sphere */
+static void fill_moments(const dbk_cloud *cloud, dbk_rows *rows, int32_t first, int32_t last) {
+  for (int32_t r = first; r < last; ++r) {
+    const int32_t i = rows->i[r];
+    const dbk_real x = cloud->x[i], y = cloud->y[i], z = cloud->z[i];
+    rows->mx[r] = y * rows->nz[r] - z * rows->ny[r];
+    rows->my[r] = z * rows->nx[r] - x * rows->nz[r];
+    rows->mz[r] = x * rows->ny[r] - y * rows->nx[r];
+  }
+}
+
+/* the columns of every span; joints that do not move it get zero */
+DBK_WIDE void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *restrict rows,
+                               dbk_real *restrict square, dbk_real *restrict total) {
+  const axes axis = axes_of(model, &ctx->frames);
+  lever j;
+  for (int32_t s = 0; s < rows->n_spans; ++s) {
+    const int32_t first = rows->span_first[s], sphere = rows->span_sphere[s];
+    const int32_t last = s + 1 < rows->n_spans ? rows->span_first[s + 1] : rows->count;
+    const columns at = {first, DBK_PADDED(last - first), square + first, total + first};
+    for (int32_t r = 0; r < at.count; ++r) { at.square[r] = at.total[r] = (dbk_real)0; }
+    if (sphere >= 0) {
+      levers(&axis, &ctx->cloud, sphere, &j);
+    } else {
+      fill_moments(&ctx->cloud, rows, first, last);
+    }
+    for (int32_t k = 0; k < model->n; ++k) {
+      if (k < rows->span_from[s] || k >= rows->span_upto[s]) {
+        for (int32_t r = 0; r < at.count; ++r) { rows->a[k][first + r] = (dbk_real)0; }
+      } else if (sphere >= 0) {
+        fill_for_sphere(&j, k, &at, rows);
+      } else {
+        fill_for_several(&axis, k, &at, rows);
+      }
+    }
+  }
+}
