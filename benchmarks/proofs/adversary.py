@@ -7,17 +7,16 @@ from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import Body, Tracking, load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.safety._kernel import Judge
 from dualbrain.safety.filter import SafetyFilter
 from proofs import hazards
 from proofs.adversary_tables import tables
 from proofs.judge import judge_of, thing_rows
 from proofs.proof import Options, Row, Unit
-from proofs.trials import ALPHA, CLASSES, CONTROLS, LAG, MOVING, POSITION_ERROR, STATIC, Class
+from proofs.trials import CLASSES, CONTROLS, MOVING, STATIC, Class
 
 EPISODES, STEPS = 20, 10_000
 CYCLE = [kind for kind in (*STATIC[:4], *STATIC, MOVING[0]) for _ in range(2)] + list(MOVING)
@@ -91,9 +90,8 @@ def run_in(kind: Class, seed: int, steps: int, *, log: bool = False) -> tuple[Ro
 
 @cache
 def the_body() -> tuple[Body, Judge]:
-    """The Panda with every sphere, the lag of the trials, fingers closed, and its judge."""
+    """The Panda with every sphere, fingers closed, and its judge."""
     body = load_body("panda")
-    body = msgspec.structs.replace(body, tracking=Tracking(LAG, POSITION_ERROR, ALPHA, "bounds of the trials"))
     return body, judge_of(body)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.embodiment.body import load_body
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.obstacles import Obstacle
 
@@ -15,8 +16,9 @@ PLACE_NOISE, SPEED_NOISE = 0.005, 0.02
 """Error norms of perceived things [m, m/s]."""
 Q_NOISE, V_NOISE = 2e-4, 0.01
 """Error bounds of measured joints [rad, rad/s]."""
-LAG, POSITION_ERROR = 0.001, 0.0063
-"""Lag [s] and leaky integral of the residual [rad] of the trials: what velocity actuators need, unloaded."""
+TRACKING = load_body("panda").tracking
+LAG, POSITION_ERROR = TRACKING.lag, TRACKING.position_error
+"""Lag [s] and leaky integral of the residual [rad] of the trials: those identified for the body's own drive."""
 PUSH = ALPHA * POSITION_ERROR
 """The worst disturbance ydot − u within it, constant and against the nearest row [rad/s]."""
 STATE_LONGEST = 20
