@@ -26,7 +26,7 @@ def reading(text: str, name: str = "a.md") -> Reading:
     return found
 
 
-@settings(max_examples=80)
+@settings(max_examples=80, deadline=None)
 @given(words.map(" ".join), st.sampled_from(["a.md", "a.txt"]))
 def test_chunks_are_slices_in_order_that_lose_only_headings(text: str, name: str) -> None:
     found = reading(text, name)
@@ -84,6 +84,7 @@ def test_offsets_of_markdown_are_those_of_the_file(shipped: Library, file: str) 
         assert source[citation.start : citation.end] == text
 
 
+@settings(deadline=None)
 @given(
     st.builds(
         Citation,

@@ -68,7 +68,7 @@ def test_no_passage_leaves_its_block(attack: str) -> None:
     check_prompt(attack)
 
 
-@settings(max_examples=80)
+@settings(max_examples=80, deadline=None)
 @given(st.lists(st.sampled_from(ATTACKS) | st.text(max_size=20), max_size=4).map("".join))
 def test_no_passage_leaves_its_block_whatever_it_holds(attack: str) -> None:
     check_prompt(attack)
@@ -138,6 +138,10 @@ def test_the_budget_holds_and_where_nothing_bears_on_the_task_nothing_is_shown(s
 def test_the_question_tells_what_the_scene_shows() -> None:
     assert "crossing" in question("put it away", SCENE)
     assert question("put it away", "person: none") == "put it away"
+    two = "red_cube: object, tight\nclear_glass: object, fragile\nperson: none"
+    assert question("lift the red cube", two) == "lift the red cube. tight between neighbours"
+    assert question("lift the clear glass", two) == "lift the clear glass. a fragile thing"
+    assert all(words in question("tidy up", two) for words in ("fragile", "tight"))
 
 
 GRASP = (

@@ -47,6 +47,7 @@ def shipped_map() -> RoomMap:
     return found
 
 
+@settings(deadline=None)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-pi, pi), st.floats(-pi, pi))
 def test_seeing_from_another_frame_keeps_distances_and_comes_back(x: float, y: float, yaw: float, turn: float) -> None:
     places = (MapPlace("a", (x, y, 0.1), yaw), MapPlace("b", (1.0, -1.0, 0.0)))
@@ -74,7 +75,7 @@ def test_places_know_what_lies_around_them() -> None:
     assert chart().places_around((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 3.95), st.floats(0.05, 2.95), st.sampled_from(["room", "dock"]))
 def test_barriers_hold_exactly_the_floor_that_the_map_gives(x: float, y: float, frame: str) -> None:
     one = chart()

@@ -42,6 +42,7 @@ pieces = st.sampled_from(
 ) | st.text(max_size=6)
 
 
+@settings(deadline=None)
 @given(st.lists(pieces, max_size=12).map("".join))
 @example("<|<|im_start|>|>" * 3)
 @example("<<s>s><<<s>s>s>" + "<" * 9 + "<s>" + "s>" * 9)
@@ -54,6 +55,7 @@ def test_revealing_keeps_the_length_and_leaves_nothing_unseen(text: str) -> None
         assert token not in seen.lower()
 
 
+@settings(deadline=None)
 @given(
     st.text(alphabet="ab \n<>", max_size=40), st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40)), max_size=4)
 )
@@ -64,7 +66,7 @@ def test_blanking_changes_spans_and_nothing_else(text: str, spans: list[tuple[in
     assert blank(text, spans) == expected
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(st.text(alphabet='ab<>!-/ "=[]():`\n#', max_size=60))
 @example("<!-- x\n```\n<b>\n```\n--> y")
 def test_markdown_keeps_every_offset(text: str) -> None:
@@ -228,7 +230,7 @@ def test_what_cannot_be_read_is_refused_in_words(data: bytes, name: str, what: s
     assert len(str(found)) < 400
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=200), st.sampled_from([suffix for suffix in READERS if suffix != ".pdf"]))
 def test_no_bytes_raise(data: bytes, suffix: str) -> None:
     assert isinstance(read(data, "a" + suffix), (Reading, Refused))

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.knowledge.fusion import normalised, reciprocal_ranks
@@ -22,6 +22,7 @@ scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)
 cosines = st.dictionaries(st.integers(0, 9), st.floats(-1, 1), max_size=8)
 
 
+@settings(deadline=None)
 @given(scores, cosines, st.floats(0, 1))
 def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
     words: dict[int, float], meaning: dict[int, float], share: float
@@ -36,6 +37,7 @@ def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
     assert all(normalised(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
 
 
+@settings(deadline=None)
 @given(st.permutations(range(6)), st.permutations(range(6)))
 def test_reciprocal_ranks_do_not_reward_being_below_another_in_both(one: list[int], other: list[int]) -> None:
     fused = reciprocal_ranks([one, other])
@@ -53,7 +55,9 @@ def test_meaning_is_an_exact_scan(shipped: Library) -> None:
     assert len(hits) == len(texts)
     vector = encoder.encode([query])[0]
     for hit in hits:
-        heads = ". ".join((*(hit.path[-2:] or (hit.title,)), hit.text))
+        said = [line.split('"')[1] for line in hit.text.splitlines() if line.startswith(("use", "about"))]
+        words = said if hit.text.startswith("[[") else [hit.text]
+        heads = ". ".join((*(hit.path[-2:] or (hit.title,)), *words))
         assert hit.likeness == pytest.approx(float(encoder.encode([heads])[0] @ vector), abs=1e-6)
     assert np.all(np.diff([hit.score for hit in hits]) <= 1e-12)
 

@@ -32,6 +32,7 @@ LONGEST_QUERY = 2000
 _ARTICLES = "a an the this that these they them their there it its i me my we our you your who which what"
 _VERBS = "am is are was be been can could do does did had has have may should will would please"
 _LINKS = "and any as at but by for from how if in into no not of on or so than then to when where why with"
+_WORDS = re.compile(r"^(?:use_when|about|use)\s*=\s*\"([^\"\n]*)\"", re.MULTILINE)
 COMMON = frozenset(f"{_ARTICLES} {_VERBS} {_LINKS}".split())
 """Words of a question that say nothing about what is asked; in a small library their BM25 is not near zero."""
 
@@ -70,7 +71,7 @@ class Library:
         """
         self._shelf, self._encoder = Shelf(path, write=write), encoder
         made = self._shelf.embedder()
-        if encoder is not None and made not in {"", encoder.id} and not write:
+        if encoder is not None and made not in {"", maker(encoder)} and not write:
             self._shelf.close()
             raise _mixed(made, encoder)
         self._load()
@@ -182,7 +183,7 @@ class Library:
         if self._encoder is None:
             raise InvalidSetup("search by meaning", got="no sentence encoder", allowed="search by words")
         made = self._shelf.embedder()
-        if made not in {"", self._encoder.id}:
+        if made not in {"", maker(self._encoder)}:
             raise _mixed(made, self._encoder)
         if not len(self._ids):
             return {}
@@ -224,7 +225,7 @@ class Library:
             with self._shelf.transaction():
                 numbers = self._shelf.keep(name, reading, pieces)
                 self._shelf.put(document, now=now)
-                self._shelf.project(encoder.id, dict(zip(numbers, rows, strict=True)))
+                self._shelf.project(maker(encoder), dict(zip(numbers, rows, strict=True)))
             self._load()
         return Addition(document, change)
 
@@ -234,7 +235,7 @@ class Library:
         document = self.document(name)
         with self._shelf.transaction():
             self._shelf.take_down(name, now=now)
-            self._shelf.project(encoder.id, {})
+            self._shelf.project(maker(encoder), {})
         self._load()
         return document
 
@@ -247,7 +248,7 @@ class Library:
             texts = [embedded_text(one.document.title, one.chunk, one.text) for one in live]
             self._shelf.forget_projections()
             self._shelf.project(
-                self._encoder.id, dict(zip((one.id for one in live), self._encoder.encode(texts), strict=True))
+                maker(self._encoder), dict(zip((one.id for one in live), self._encoder.encode(texts), strict=True))
             )
         self._load()
         return len(self)
@@ -257,7 +258,7 @@ class Library:
         if self._encoder is None:
             raise InvalidSetup("knowledge store", got="no sentence encoder", allowed="an encoder, to write")
         made = self._shelf.embedder()
-        if made not in {"", self._encoder.id}:
+        if made not in {"", maker(self._encoder)}:
             raise _mixed(made, self._encoder)
         return self._encoder
 
@@ -277,9 +278,18 @@ def cited(one: Shelved) -> Citation:
     return Citation(one.document.name, one.document.version, one.chunk.start, one.chunk.end, one.chunk.page)
 
 
+def maker(encoder: Encoder) -> str:
+    """Who made a vector: the encoder, and the way in which a chunk is put to it (see `embedded_text`)."""
+    return f"{encoder.id}, recipe 1"
+
+
 def embedded_text(title: str, chunk: Chunk, text: str) -> str:
-    """What the encoder reads of a chunk: the headings above it, or the title, say what it is about."""
-    return ". ".join((*(chunk.path[-2:] or (title,)), text))
+    """What the encoder reads of a chunk: the headings above it, or the title, say what it is about.
+
+    Of an entry of a TOML file only its words: the numbers of a pose or a contract are looked up, not embedded.
+    """
+    words = _WORDS.findall(text) if text.startswith("[[") else [text]
+    return ". ".join((*(chunk.path[-2:] or (title,)), *words))
 
 
 def _first(ranking: dict[int, float]) -> dict[int, float]:
@@ -310,6 +320,6 @@ def _title_of(reading: Reading, name: str) -> str:
 
 def _mixed(made: str, encoder: Encoder) -> InvalidSetup:
     return InvalidSetup(
-        "vectors of the knowledge store", got=made, allowed=f"made by {encoder.id}",
+        "vectors of the knowledge store", got=made, allowed=f"made by {maker(encoder)}",
         fix="Make them again with `dualbrain knowledge rebuild`.",
     )  # fmt: skip

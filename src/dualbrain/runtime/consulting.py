@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -72,9 +73,15 @@ def consult(
 
 
 def question(instruction: str, summary: str) -> str:
-    """What is asked of the documents: the instruction, and what the scene's symbols mean."""
-    said = [words for symbol, words in SYMBOLS.items() if symbol in summary]
-    return ". ".join((instruction, *said))
+    """What is asked of the documents: the instruction, and what the symbols of people and of the things it names mean.
+
+    Where it names nothing of the scene, the symbols of everything.
+    """
+    lines, words = summary.splitlines(), set(re.findall(r"[a-z0-9]+", instruction.lower()))
+    things = [line for line in lines if ": object" in line]
+    named = [line for line in things if set(line.partition(":")[0].split("_")) <= words]
+    bearing = "\n".join(line for line in lines if line not in things or line in (named or things))
+    return ". ".join((instruction, *(meaning for symbol, meaning in SYMBOLS.items() if symbol in bearing)))
 
 
 def _passage(hit: Hit, text: str, rank: int) -> Passage:
