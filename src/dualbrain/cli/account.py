@@ -27,20 +27,22 @@ from dualbrain.cli.lookout import Lookout
 from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
 from dualbrain.records import Episode
+from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Event
 
-STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red"}
+STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red",
+         "order": "yellow", "operator": "magenta"}  # fmt: skip
 
 
 def carry_out(
     instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
-    consult: bool = False, chart: str = "",
+    consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0,
 ) -> int:  # fmt: skip
-    """Run, tell, draw, report; returns the exit code."""
+    """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
     started = datetime.now(UTC)
     out = out or Path("runs") / f"{started:%Y%m%dT%H%M%SZ}-{token_hex(3)}"
@@ -54,8 +56,11 @@ def carry_out(
     console.print(
         f"[bold]{escape(storable(instruction, 400)) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]"
     )
-    with Session(config, times, os.environ) as session:
+    with (LiveSession if live else Session)(config, times, os.environ) as session:
         lookout = Lookout(session, port, console) if view else None
+        if isinstance(session, LiveSession):
+            session.stage = stage
+            session.glimpse = lookout.glimpse if lookout else None
         album = Album(session.plant, console, NO_GRAPHICS)
         waiting = Waiting(console, f"the planner thinks ({session.planner.name})")
         with ctrl_c(session.interrupt):
@@ -80,7 +85,7 @@ def carry_out(
 
 def exit_code(episode: Episode) -> Exit:
     """What the episode means to a shell: violations outrank everything but an interruption."""
-    if episode.outcome.kind == "aborted":
+    if episode.outcome.kind in ("aborted", "handed_over"):
         return Exit.INTERRUPTED
     if episode.judgement and episode.judgement.violations:
         return Exit.VIOLATION
@@ -92,7 +97,7 @@ def exit_code(episode: Episode) -> Exit:
 def succeeded(episode: Episode) -> bool:
     """The robot says so and, where somebody knows the truth, the truth agrees."""
     truth = episode.judgement.success if episode.judgement else True
-    return episode.outcome.kind == "succeeded" and truth
+    return episode.outcome.kind in ("succeeded", "paused", "slowed") and truth
 
 
 def summary(episode: Episode, out: Path) -> dict[str, Any]:

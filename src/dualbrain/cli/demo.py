@@ -23,10 +23,11 @@ def demo(
     planner
         Name from `dualbrain models list`, or the URL of an OpenAI-compatible server.
     headless
-        No live view.
+        No live view; then time runs as fast as it can, in one process.
     scene
         Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
     """
     from dualbrain.cli.account import carry_out
 
-    return Exit(carry_out(instruction, scene=scene, planner=planner, view=not headless, stay=not headless))
+    view = not headless
+    return Exit(carry_out(instruction, scene=scene, planner=planner, view=view, stay=view, live=view))

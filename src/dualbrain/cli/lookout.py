@@ -12,6 +12,7 @@ from rich.console import Console
 from dualbrain.dashboard.live import LiveView
 from dualbrain.dashboard.view_state import ViewState
 from dualbrain.records import Episode
+from dualbrain.runtime.gatekeeper.messages import Glimpse
 from dualbrain.runtime.local_layer import Moment
 from dualbrain.runtime.session import Session
 from dualbrain.runtime.trace import DEAD_BAND, Event
@@ -61,6 +62,25 @@ class Lookout:
         self._view.show(
             ViewState(state.stamp, frames, moment.scene, centres, radii, numbers=numbers, lines=tuple(self._lines))
         )
+
+    def glimpse(self, glimpse: Glimpse) -> None:
+        """Show a tick of a gatekeeper's loop, as it was told over the socket."""
+        if glimpse.in_contract:
+            self._deltas.append(glimpse.delta)
+            self._h_min = min(self._h_min, glimpse.h_min)
+        q = np.array(glimpse.q)
+        centres, radii, _ = self._kinematics.spheres(q, glimpse.opening)
+        order = f" [{glimpse.order}: {glimpse.check}]" if glimpse.check else ""
+        numbers: dict[str, float | str] = {
+            "h_min": glimpse.h_min, "delta": glimpse.delta,
+            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
+            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
+            "speed": glimpse.speed, "elapsed": glimpse.t, "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
+            "status": glimpse.status, "barriers": ", ".join(glimpse.barriers).replace("_", " "), "planner": "",
+        }  # fmt: skip
+        self._plant.place_arm(q, glimpse.opening)
+        frames, lines = self._plant.link_poses(), tuple(self._lines)
+        self._view.show(ViewState(glimpse.t, frames, glimpse.scene, centres, radii, numbers=numbers, lines=lines))
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
         """Show the end; with `stay` and a terminal, keep the page until Ctrl-C."""

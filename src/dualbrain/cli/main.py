@@ -47,6 +47,8 @@ app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one co
 app.command("dualbrain.cli.schema:schema", name="schema", help="Print a robot's contract schema.")
 app.command("dualbrain.cli.check:check", name="check", help="What the gate says of a contract file.")
 app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
+app.command("dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="The spinal cord as a process.")
+app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="A person's hand on a gatekeeper.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),

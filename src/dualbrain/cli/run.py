@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.share import share
 from dualbrain.errors import WrongUsage
 
 PLANNER = "qwen2.5-coder-1.5b-instruct"
@@ -31,6 +32,8 @@ def run(
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     map: str = "",
+    live: Annotated[bool, Parameter(negative="")] = False,
+    speed: str = "100%",
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Run one instruction on the simulated robot.
@@ -65,6 +68,10 @@ def run(
         "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
     map
         MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names.
+    live
+        In real time and two processes: a gatekeeper holds robot, filter and supervisor, and outlives the planner.
+    speed
+        With --live: the speed stage to begin with, as 10% or 0.1; `dualbrain operate` changes it.
     json
         Print one JSON object on stdout.
     """
@@ -75,11 +82,13 @@ def run(
             "instruction", got=instruction, allowed="some words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
         )  # fmt: skip
-    live = not headless and sys.stdout.isatty()
+    if live and filter == "off":
+        raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
+    stay = not headless and sys.stdout.isatty()
     return Exit(
         carry_out(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
-            view=not headless, stay=live, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
-            consult=knowledge == "on", chart=map,
+            view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
+            consult=knowledge == "on", chart=map, live=live, stage=share(speed),
         )
     )  # fmt: skip

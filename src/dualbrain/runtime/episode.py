@@ -13,6 +13,7 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import short_form
 from dualbrain.contracts.stamp import Stamp
@@ -23,6 +24,7 @@ from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal
+from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate, RemoteLayer
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.second_opinion import second_opinion
@@ -63,8 +65,8 @@ class Witness:
 
 
 def run_episode(
-    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer, thinking: Thinking, witness: Witness,
-    keep: Callable[[Episode], None], *, now: float, look_up: LookUp = lambda instruction, summary: (),
+    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer | RemoteLayer, thinking: Thinking,
+    witness: Witness, keep: Callable[[Episode], None], *, now: float, look_up: LookUp = lambda instruction, summary: (),
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
 
@@ -81,7 +83,7 @@ def run_episode(
         errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
     )  # fmt: skip
     recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
-    gate = Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
+    gate = _gate(layer, registry)
     request = PlanRequest(
         errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
         registry.decoding_schema(names), contract_id="c-0001",
@@ -118,7 +120,14 @@ def run_episode(
     return episode, memory.store(episode, posture, now=now, image=image)
 
 
-def _check(gate: Gate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
+def _gate(layer: LocalLayer | RemoteLayer, registry: Registry) -> Gate | RemoteGate:
+    """The gate before this layer: a gatekeeper has its own, to which bytes are only brought."""
+    if isinstance(layer, RemoteLayer):
+        return RemoteGate(layer.link)
+    return Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
+
+
+def _check(gate: Gate | RemoteGate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
     """The gate's word on a proposal; an answer that was cut, timed out or crashed has no contract in it."""
     if proposal.finish_reason != STOP:
         hint = "the answer is not whole, so it is no contract"
@@ -128,7 +137,7 @@ def _check(gate: Gate, proposal: Proposal, names: SceneNames, now: float, stamp:
     )
 
 
-def _unmoved(layer: LocalLayer, shots: int, verdict: Verdict | None) -> Outcome:
+def _unmoved(layer: LocalLayer | RemoteLayer, shots: int, verdict: Verdict | None) -> Outcome:
     """The outcome when no contract was accepted: nothing has moved."""
     if layer.interrupted():
         return Outcome("aborted", "interrupted by a person before a contract was accepted")

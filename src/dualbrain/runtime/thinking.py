@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import Protocol, TypeVar
 
+from dualbrain.runtime.gatekeeper.remote_layer import RemoteLayer
 from dualbrain.runtime.local_layer import LocalLayer
 
 T = TypeVar("T")
@@ -36,7 +37,7 @@ class Thinking:
     measured: bool = False
     planning_time: float = PLANNING_TIME
 
-    def wait_for(self, layer: LocalLayer, ask: Callable[[], T]) -> T | None:
+    def wait_for(self, layer: LocalLayer | RemoteLayer, ask: Callable[[], T]) -> T | None:
         """The answer of `ask`, called on a thread of its own while the arm stands still; None when a person interrupts.
 
         Nobody waits for a thread that was left behind by an interruption: it ends with the process.

@@ -81,6 +81,7 @@ class GatekeeperLink:
         self._secret = keys.secrets[principal] if keys and principal else b""
         self._lock, self._sent = Lock(), 0
         self._said: Queue[Message] = Queue()
+        self._sights: Queue[Sight] = Queue()
         self.beat: Beat | None = None
         self.lost = Signal()
         self.why = ""
@@ -134,13 +135,36 @@ class GatekeeperLink:
         self.say(Operate(act=act, speed=speed))
 
     def look(self) -> Sight:
-        """What a planner needs to know, now."""
+        """What a planner needs to know, now; what came before it stays to be taken out."""
         self.say(Look())
-        return self.expect(Sight)
+        return self._seen(PATIENCE)
+
+    def _seen(self, timeout: float) -> Sight:
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            with suppress(Empty):
+                return self._sights.get(timeout=0.05)
+            if self.lost.is_set():
+                break
+        raise LinkLost(self.why or "nothing to be seen")
 
     def ended(self, timeout: float | None = None) -> Ended:
         """Wait until the contract that runs is over; raises `LinkLost` when the gatekeeper is gone."""
         return self.expect(Ended, timeout)
+
+    def ended_by_now(self, patience: float) -> Ended | None:
+        """As `ended`, but None when there is no end within `patience` [s]."""
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
+            if self.lost.is_set() and self._said.empty():
+                raise LinkLost(self.why or "the gatekeeper hung up")
+            try:
+                message = self._said.get(timeout=0.02)
+            except Empty:
+                continue
+            if isinstance(message, Ended):
+                return message
+        return None
 
     def expect(self, kind: type[M], timeout: float | None = PATIENCE) -> M:
         """The next message of `kind`; others are dropped, a refusal is raised."""
@@ -210,5 +234,7 @@ class GatekeeperLink:
             case News() | Glimpse():
                 if self._watch:
                     self._watch(message)
+            case Sight():
+                self._sights.put(message)
             case _:
                 self._said.put(message)

@@ -68,7 +68,7 @@ class Gatekeeper:
         self.robot, self.door, self.hand = robot, door, Hand(stage)
         self._keys, self._capabilities = keys, dict(capabilities)
         self._clerk = Clerk(body, capabilities)
-        self._trace = trace or Trace(body.n)
+        self._trace = Trace(body.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._announce)
         self._commander: Peer | None = None
         self._had_commander = False
@@ -99,6 +99,8 @@ class Gatekeeper:
                     self._trace.forget()
                     gc.collect(0)
         self._clerk.close()
+        gc.unfreeze()
+        gc.enable()
 
     def shut_down(self) -> None:
         """End after this tick, or as soon as the contract that runs has been braked off."""
@@ -292,10 +294,12 @@ class Gatekeeper:
         self.door.tell(News(event.t, event.kind, event.text, data))
 
     def _glimpse(self, moment: Moment) -> None:
+        if not any(peer.watches for peer in self.door.peers):
+            return
         state, result = moment.state, moment.result
         self.door.tell(
             Glimpse(
-                t=state.stamp, q=tuple(state.q.tolist()), opening=state.opening,
+                t=state.stamp, scene=moment.scene, q=tuple(state.q.tolist()), opening=state.opening,
                 speed=float(abs(result.u).max()), delta=result.delta, h_min=result.h_min, status=result.status.name,
                 barriers=result.barriers, skill=moment.skill, phase=moment.nominal.phase,
                 in_contract=moment.action >= 0, order=moment.order.action.name, check=moment.order.check,

@@ -124,6 +124,7 @@ class Glimpse(Message, frozen=True, kw_only=True):
     """Enough of a tick to draw it."""
 
     t: float
+    scene: Scene
     q: tuple[float, ...]
     opening: float
     speed: float

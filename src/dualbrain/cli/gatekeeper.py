@@ -1,0 +1,112 @@
+"""dualbrain gatekeeper: the spinal cord as a process; and dualbrain operate: a person's hand on it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import home
+from dualbrain.cli.share import share
+
+Act = Literal["pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset",
+              "shut_down"]  # fmt: skip
+
+
+def gatekeeper(
+    *,
+    robot: str = "panda",
+    scene: str = "0",
+    socket: Path | None = None,
+    keys: Path | None = None,
+    speed: str = "100%",
+    seed: int = 0,
+    record: Path | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Own the simulated robot and its control tick until told to shut down; contracts come in over the socket.
+
+    Parameters
+    ----------
+    robot
+        Which body.
+    scene
+        Which world: a number, FAMILY:SEED or a scene file.
+    socket
+        Where to listen (mode 0600); default: gatekeeper.sock in dualbrain's home.
+    keys
+        The file with the keys of planner and operator, made if there is none; default in dualbrain's home.
+    speed
+        The speed stage to begin with, as 10% or 0.1.
+    seed
+        Everything random after the scene (perception).
+    record
+        Write every tick to this MCAP file.
+    json
+        At the end, print how punctual the tick was as one JSON object on stdout.
+    """
+    import msgspec
+
+    from dualbrain.cli.console import answer
+    from dualbrain.runtime.gatekeeper.spawn import Plan, keep
+    from dualbrain.world.catalogue import open_scene
+
+    where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
+    plan = Plan(
+        robot, open_scene(scene), str(where), str(secrets), seed, stage=share(speed),
+        recording=str(record) if record else "",
+    )  # fmt: skip
+    print(f"gatekeeper of {robot} at {where}; Ctrl-C to shut down", file=sys.stderr)
+    punctuality = keep(plan)
+    p50, p99, _, worst = (1e3 * value for value in punctuality.interval)
+    print(
+        f"{punctuality.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} (99 %), {worst:.1f} (longest); "
+        f"{punctuality.late} late, {punctuality.missed} states missed",
+        file=sys.stderr,
+    )
+    if json:
+        answer(msgspec.json.encode(punctuality).decode())
+    return Exit.SUCCESS
+
+
+def operate(
+    act: Act, /, *, speed: str = "100%", socket: Path | None = None, keys: Path | None = None, run: Path | None = None
+) -> int:
+    """A person's hand: pause, resume, abort, take over, choose a speed, stop in an emergency, and reset after it.
+
+    Parameters
+    ----------
+    act
+        What to do. An emergency stop needs no key; release_estop, then reset, then resume lead out of it.
+    speed
+        With `speed`: the stage, as 10% or 0.1.
+    socket
+        Where the gatekeeper listens; default: gatekeeper.sock in dualbrain's home.
+    keys
+        The key file; default in dualbrain's home.
+    run
+        The folder of a `dualbrain run --live`: its gatekeeper is meant.
+    """
+    import time
+
+    from dualbrain.errors import InvalidSetup
+    from dualbrain.runtime.gatekeeper.client import GatekeeperLink
+    from dualbrain.runtime.gatekeeper.seals import open_keys
+
+    where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
+    if run is not None:
+        address = run / "gatekeeper.address"
+        if not address.exists():
+            raise InvalidSetup("run folder", got="no gatekeeper.address", allowed="a live run under way", fix=str(run))
+        where, secrets = (Path(line) for line in address.read_text(encoding="utf-8").split())
+    free = act == "estop" and not secrets.exists()
+    link = GatekeeperLink(where) if free else GatekeeperLink(where, open_keys(secrets), "operator")
+    link.operate(act, share(speed))
+    time.sleep(0.2)
+    beat = link.beat
+    print(f"{act}: {beat.action} {beat.check}".rstrip() if beat else f"{act}: sent", file=sys.stderr)
+    link.close()
+    return Exit.SUCCESS

@@ -1,0 +1,18 @@
+"""A share as people write it: 10%, 0.1."""
+
+from __future__ import annotations
+
+from dualbrain.errors import WrongUsage
+
+SLOWEST = 0.01
+
+
+def share(text: str) -> float:
+    """The number in [0.01, 1] that `text` means; raises `WrongUsage`."""
+    try:
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = float("nan")
+    if not SLOWEST <= value <= 1.0:
+        raise WrongUsage("speed", got=text, allowed="1% to 100%, as 10% or 0.1")
+    return value

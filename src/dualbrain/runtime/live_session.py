@@ -1,0 +1,100 @@
+"""A session in two processes and real time: the cortex here, a gatekeeper of its own there, the robot beyond it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.memory.store import StoreReport
+from dualbrain.records import Episode, Judgement
+from dualbrain.runtime.episode import Errand, Witness, run_episode
+from dualbrain.runtime.gatekeeper.client import GatekeeperLink
+from dualbrain.runtime.gatekeeper.messages import Glimpse, Message, News
+from dualbrain.runtime.gatekeeper.remote_layer import RemoteLayer
+from dualbrain.runtime.gatekeeper.robot_process import Report
+from dualbrain.runtime.gatekeeper.seals import open_keys
+from dualbrain.runtime.gatekeeper.spawn import Plan, Process
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.recording import read_trace
+from dualbrain.runtime.session import Finished, Onlooker, Session
+from dualbrain.runtime.thinking import Thinking
+from dualbrain.runtime.trace import Event, Trace
+from dualbrain.runtime.vocabulary import PLANNER
+from dualbrain.world.scene_spec import save_scene
+
+REPORT, PUNCTUALITY = "robot.json", "punctuality.json"
+"""What robot and gatekeeper leave in the run folder beside the recording."""
+ADDRESS = "gatekeeper.address"
+"""Where the run folder says how the gatekeeper is reached: by `dualbrain operate`, for instance."""
+
+
+class LiveSession(Session):
+    """As a session, but the arm is moved by a gatekeeper in real time; `stage` is the speed to begin with, (0, 1].
+
+    The filter cannot be off here. The plant in this process stands still: it lends its pictures to the live view.
+    """
+
+    stage: float = 1.0
+    glimpse: Callable[[Glimpse], None] | None = None
+
+    def run(self, onlooker: Onlooker) -> Finished:
+        """Run the instruction; the run folder holds config, scene, recording, robot's report and episode afterwards."""
+        config, out = self.config, self.config.out
+        out.joinpath("config.json").write_bytes(
+            msgspec.json.format(msgspec.json.encode(config, enc_hook=str), indent=2)
+        )
+        save_scene(self.spec, out / "scene.json")
+        self.interrupted = self.ledger.start_run(out.name, {"instruction": config.instruction}, now=self.times.now())
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dualbrain-")))
+            plan = Plan(
+                config.robot, self.spec, str(folder / "door"), str(folder / "keys"), config.seed, config.goal,
+                self.stage, recording=str(out / "episode.mcap"), instruction=config.instruction,
+                report=str(out / REPORT), punctuality=str(out / PUNCTUALITY),
+            )  # fmt: skip
+            process = Process(plan)
+            stack.callback(process.stop)
+            out.joinpath(ADDRESS).write_text(f"{plan.socket}\n{plan.keys}\n", encoding="utf-8")
+            stack.callback(out.joinpath(ADDRESS).unlink)
+            episode, stored = self._live(process, onlooker)
+        self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
+        return Finished(episode, stored, read_trace(out / "episode.mcap") or Trace(self.body.n))
+
+    def _live(self, process: Process, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
+        config, plan = self.config, process.plan
+
+        def watch(message: Message) -> None:
+            match message:
+                case News(t, kind, text, data):
+                    onlooker.event(msgspec.convert({"t": t, "kind": kind, "text": text, "data": data}, Event))
+                case Glimpse() if self.glimpse:
+                    self.glimpse(message)
+                case _:
+                    pass
+
+        def judge() -> Judgement | None:
+            """Truth is asked for when all is over: the robot writes it down as it is switched off."""
+            link.close()
+            process.stop()
+            report = config.out / REPORT
+            return msgspec.json.decode(report.read_bytes(), type=Report).judgement if report.exists() else None
+
+        keys = open_keys(Path(plan.keys))
+        link = GatekeeperLink(Path(plan.socket), keys, PLANNER, watch=watch)
+        log = FlightLog(Trace(self.body.n), None, onlooker.event)
+        layer = RemoteLayer(self.body, link, log, lambda: self._interrupted)
+        given = config.contract is not None
+        errand = Errand(
+            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
+        )
+        thinking = Thinking(time.monotonic, measured=True)
+        witness = Witness(lambda contract: None, judge, self._versions(), self._picture)
+        return run_episode(
+            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now(),
+            look_up=self._look_up,
+        )  # fmt: skip
