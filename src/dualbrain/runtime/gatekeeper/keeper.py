@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Mapping
+from math import isnan
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.stamp import Stamp
@@ -300,7 +301,8 @@ class Gatekeeper:
         self.door.tell(
             Glimpse(
                 t=state.stamp, scene=moment.scene, q=tuple(state.q.tolist()), opening=state.opening,
-                speed=float(abs(result.u).max()), delta=result.delta, h_min=result.h_min, status=result.status.name,
+                speed=float(abs(result.u).max()), delta=result.delta,
+                h_min=None if isnan(result.h_min) else result.h_min, status=result.status.name,
                 barriers=result.barriers, skill=moment.skill, phase=moment.nominal.phase,
                 in_contract=moment.action >= 0, order=moment.order.action.name, check=moment.order.check,
             )

@@ -121,7 +121,7 @@ class News(Message, frozen=True):
 
 
 class Glimpse(Message, frozen=True, kw_only=True):
-    """Enough of a tick to draw it."""
+    """Enough of a tick to draw it; `h_min` [m] is None where the input was refused and nothing was measured."""
 
     t: float
     scene: Scene
@@ -129,7 +129,7 @@ class Glimpse(Message, frozen=True, kw_only=True):
     opening: float
     speed: float
     delta: float
-    h_min: float
+    h_min: float | None
     status: str
     barriers: tuple[str, ...]
     skill: str
