@@ -6,8 +6,11 @@ from proofs.adversary import Adversary
 from proofs.bare import Bare
 from proofs.conservatism import Conservatism
 from proofs.kernel import Kernel
+from proofs.kills import Kills
+from proofs.learning import Learning
 from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
+from proofs.poisoning import Poisoning
 from proofs.proof import Proof
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
@@ -17,7 +20,7 @@ PROOFS: dict[str, Proof] = {
     proof.name: proof
     for proof in (
         Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
-        Zoo(),
+        Zoo(), Kills(), Poisoning(), Learning(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

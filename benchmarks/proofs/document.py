@@ -12,6 +12,7 @@ from proofs.journal import Journal
 from proofs.learnable import families
 from proofs.origin import machine
 from proofs.plot import plot
+from proofs.plot_learning import plot_learning
 from proofs.proof import Proof, Row
 
 PICTURE = "![Δ by contract, family and seed](learnable.png)"
@@ -30,6 +31,8 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             _between(docs / "learnable.md", [PICTURE, "", *section])
             plot(families(rows), docs / "learnable.png")
             section = [proof.claim, "", provenance(rows), "", "Figures and plot: [learnable.md](learnable.md).", ""]
+        if proof.name == "learning":
+            plot_learning(rows, docs / "learning.png")
         sections += [f"## {proof.name}", "", *section]
     _between(docs / "proofs.md", sections)
 

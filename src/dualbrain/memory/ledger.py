@@ -61,7 +61,7 @@ class LedgerReader:
             raise MissingPart(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
         self.path = path
         with self._translated():
-            self._database = sqlite3.connect(path.resolve().as_uri() + "?mode=ro", uri=True, isolation_level=None)
+            self._database = sqlite3.connect(_address(path), uri=True, isolation_level=None)
             self._admit()
 
     def _admit(self) -> None:
@@ -265,6 +265,14 @@ def _readable(path: Path) -> Generator[None]:
     except OSError as error:
         allowed = "a ledger that this user can read and write, on a disk with space"
         raise InvalidSetup("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
+
+
+def _address(path: Path) -> str:
+    """How SQLite is to read `path`. Where nothing can be written, not even its shared index, nobody can be writing."""
+    log = path.with_name(f"{path.name}-wal")
+    settled = not log.exists() or log.stat().st_size == 0
+    still = settled and not os.access(path.parent, os.W_OK)
+    return path.resolve().as_uri() + ("?immutable=1" if still else "?mode=ro")
 
 
 def _text(raw: bytes) -> str:

@@ -23,6 +23,7 @@ from dualbrain.memory.encoder import MiniLmEncoder
 from dualbrain.memory.image import IMAGE_WEIGHTS, ImageEncoder
 from dualbrain.memory.ledger import Ledger
 from dualbrain.memory.picture import Picture
+from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, StoreReport
@@ -79,6 +80,8 @@ class RunConfig:
     visuals: bool = True
     eyes: bool = False
     """Whether a picture of the scene is part of what memory compares (its image block)."""
+    static: bool = False
+    """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,8 @@ class Session:
         self._stack.callback(ledger.close)
         self.ledger = ledger
         self.library = self._open_library(encoder)
-        self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),)))
+        rule = None if config.static else Plasticity()
+        self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),), plasticity=rule))
         if self.library is not None and config.map:
             self.spec = with_places(self.spec, *open_map(self.library, config.map))
         self.plant = Plant(self.spec, self.body, visuals=config.visuals)

@@ -1,0 +1,39 @@
+"""Made-up episodes for proofs about memory itself: everything as the runtime would write it, but nothing has moved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.memory.config import MemoryConfig
+from dualbrain.memory.posture import Posture, PostureLimits
+from dualbrain.records import Attempt, Episode, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
+
+ROBOT, REGISTRY = "arm", "aaaa1111"
+LIMITS = PostureLimits(ROBOT, (-3.0, -2.0), (3.0, 2.0), 0.04)
+REST = Posture((0.0, 0.5), 0.04)
+START = 1_800_000_000.0
+"""When made-up time begins [s, 1970 UTC]."""
+CONFIG = MemoryConfig((LIMITS,))
+
+
+def contract(**params: Any) -> dict[str, Any]:
+    """A contract of one grasp with these parameters."""
+    context = {"robot": ROBOT, "registry": REGISTRY}
+    return {"id": "c-0001", "context": context, "action_sequence": [{"skill": "grasp", "params": params}]}
+
+
+def made_up(
+    name: str, *, kind: OutcomeClass = "succeeded", Delta: float | None = 0.001, instruction: str = "grasp the cube",
+    summary: str = "cube: object, neighbour_across low", recall: Recall | None = None,
+    plan: dict[str, Any] | None = None, by: str = "planner", second_opinion: SecondOpinion = "agrees",
+) -> Episode:  # fmt: skip
+    """One episode."""
+    refused = Rejected("envelope", "/action_sequence/0/params/speed", 1, "0.05..0.4", "slower")
+    attempt = Attempt(Proposal("{}", "stop", by, "nobody", {"total": 0.0}), refused, 0.0)
+    outcome = Outcome(kind, "" if kind == "succeeded" else f"it {kind}", None if kind == "rejected" else Delta)
+    return Episode(
+        name, "2026-11-21T00:00:00Z", instruction, ROBOT, REGISTRY, 0, Scene(ROBOT, 0.0, 1, ()), summary,
+        recall or Recall(), (attempt,), plan or contract(object="cube", speed=0.1), outcome, None, {}, {},
+        second_opinion=second_opinion,
+    )  # fmt: skip

@@ -1,0 +1,185 @@
+"""learning: one scene thirty times, with weights that learn and with weights that stand still, from the same start.
+
+Each seed has a start of its own: six contracts with random valid parameters, carried out in the scene and stored by the
+robot's own verdict. Both arms begin with a copy of that ledger, so that only w differs. Nothing reads simulator truth
+but the table.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.cli import folders
+from dualbrain.memory.derive import derive
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.protocol import Planner
+from dualbrain.records import Episode
+from dualbrain.runtime.given import GivenContract
+from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.vocabulary import vocabulary
+from proofs.closed_loop import errand
+from proofs.figures import table
+from proofs.proof import Options, Row, Unit
+from proofs.runs import GOAL, planner_of
+
+SCENES, SEEDS, REPETITIONS, FIRST = ("tall:301", "tabletop:302", "shelf:303"), 5, 30, 6
+WORDS = "put the red cube in the bowl"
+GRID: dict[str, tuple[Any, ...]] = {
+    "clearance": (0.1, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
+    "route": ("direct", "near_base", "left", "right"), "opening": (0.07, 0.08),
+}  # fmt: skip
+DAY_S = 40.0
+"""Made-up time between two repetitions [s]."""
+
+
+class Learning:
+    """Repeated scenes."""
+
+    name = "learning"
+    claim = (
+        "One scene 30 times from the same start, 5 fresh ledgers: Δ and decision time over repetitions with dynamic "
+        "weights and with static ones; good and bad memories part in R."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """Seed by seed, scene by scene, both arms."""
+        return [
+            Unit(
+                f"{scene} seed {seed} {arm}, {options.planner}",
+                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": REPETITIONS},
+            )
+            for seed in range(SEEDS) for scene in SCENES for arm in ("dynamic", "static")
+        ]  # fmt: skip
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """The start, then the repetitions; the ledger's head stands in the row."""
+        planner = planner_of(about["planner"])
+        with tempfile.TemporaryDirectory(prefix="dualbrain-learning-") as folder:
+            ledger = Path(folder) / "ledger.sqlite"
+            clock = _Clock()
+            for number, actions in enumerate(start_contracts(about["seed"])):
+                _play(ledger, about, GivenContract("start", _contract(actions)), f"s-{number}", clock, static=True)
+            shutil.copy(ledger, Path(folder) / "start.sqlite")
+            done = [
+                figures(_play(ledger, about, planner, f"r-{number}", clock, static=about["arm"] == "static"))
+                for number in range(about["repetitions"])
+            ]
+            with LedgerReader(ledger) as reader:
+                head, state = reader.head(), derive(reader)
+                parted = separation(reader)
+        weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memos}
+        return {
+            **about,
+            "episodes": done,
+            "ledger": head.hash,
+            "events": head.seq,
+            "weights": weights,
+            "parted": parted,
+        }
+
+    def brief(self, row: Row) -> str:
+        """First and last thirds."""
+        first, last = thirds(row)
+        return f"Δ {first:.4f} -> {last:.4f}, ledger {row['ledger'][:12]}"
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """Δ of the first and the last ten repetitions, by arm and scene; the ledgers' heads."""
+        lines: list[tuple[object, ...]] = []
+        for scene in SCENES:
+            for arm in ("dynamic", "static"):
+                mine = [row for row in rows if (row["scene"], row["arm"]) == (scene, arm)]
+                if mine:
+                    ends = np.array([thirds(row) for row in mine])
+                    good = [np.mean([one["outcome"] == "succeeded" for one in row["episodes"]]) for row in mine]
+                    times = [np.mean([one["decision_s"] for one in row["episodes"]]) for row in mine]
+                    heads = ", ".join(row["ledger"][:8] for row in mine)
+                    cells = [f"{np.mean(x):.4f} ± {np.std(x):.4f}" for x in (ends[:, 0], ends[:, 1])]
+                    lines.append(
+                        (scene, arm, len(mine), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
+                    )
+        head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
+        picture = ["![Δ, decision time and R over repetitions](learning.png)", ""]
+        return table(head, lines) + picture
+
+
+def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
+    """Six contracts with random valid parameters: no physical selection."""
+    rng = np.random.default_rng([seed, 17])
+    return [errand(**{name: rng.choice(values).item() for name, values in GRID.items()}) for _ in range(FIRST)]
+
+
+def figures(episode: Episode) -> dict[str, Any]:
+    """What one repetition leaves: the robot's own verdict, Δ, decision time, the best exemplar; truth for the table."""
+    best = episode.recall.exemplars[0] if episode.recall.exemplars else None
+    return {
+        "outcome": episode.outcome.kind, "Delta": episode.outcome.Delta, "decision_s": episode.timings["planner"],
+        "motion_s": episode.outcome.duration, "best": best.episode_id if best else None,
+        "best_score": best.score if best else None, "second_opinion": episode.second_opinion,
+        "truth": bool(episode.judgement and episode.judgement.success),
+        "contract": (episode.contract or {}).get("action_sequence"),
+    }  # fmt: skip
+
+
+def thirds(row: Row) -> tuple[float, float]:
+    """Mean Δ of the first and of the last third of the repetitions that moved."""
+    found = [one["Delta"] for one in row["episodes"]]
+    third = max(1, len(found) // 3)
+    parts = ([x for x in part if x is not None] for part in (found[:third], found[-third:]))
+    first, last = (float(np.mean(part)) if part else float("nan") for part in parts)
+    return first, last
+
+
+def separation(ledger: LedgerReader) -> list[list[float]]:
+    """Event by event: mean weight of memories whose own outcome was good (r = 1, Δ ≤ median) and of all others."""
+    state = derive(ledger)
+    sizes = [memo.Delta for memo in state.memos if memo.r and memo.Delta is not None]
+    middle = float(np.median(sizes)) if sizes else 0.0
+    good = {memo.id for memo in state.memos if memo.r and memo.Delta is not None and memo.Delta <= middle}
+    weights: dict[str, float] = {}
+    curve: list[list[float]] = []
+    for event in ledger.events("kind IN ('episode', 'weight')"):
+        told = msgspec.json.decode(event.payload)
+        weights[event.subject] = told["after"] if event.kind == "weight" else told["w0"]
+        means = [
+            np.mean([w for name, w in weights.items() if (name in good) == side] or [0.5]) for side in (True, False)
+        ]
+        curve.append([float(event.seq), *map(float, means)])
+    return curve
+
+
+class _Clock:
+    """Made-up dates: repetitions follow each other, whatever the machine does."""
+
+    def __init__(self) -> None:
+        self.now = 1_795_000_000.0
+
+    def __call__(self) -> float:
+        self.now += DAY_S
+        return self.now
+
+
+def _play(
+    ledger: Path, about: dict[str, Any], planner: Planner, name: str, clock: Callable[[], float], *, static: bool
+) -> Episode:
+    with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
+        seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
+        config = RunConfig(
+            WORDS, Path(folder) / name, ledger, folders.cache(), scene=about["scene"], goal=GOAL, visuals=False,
+            seed=seed, static=static,
+        )  # fmt: skip
+        times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", clock)
+        with Session(config, times, {}, planner) as session:
+            return session.run(Onlooker()).episode
+
+
+def _contract(actions: list[dict[str, Any]]) -> bytes:
+    context = {"robot": "panda", "registry": vocabulary("panda").hash}
+    return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
