@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dualbrain.linalg import matrix
 from dualbrain.records import Bowl, Box, Capsule, Cylinder, Scene, SceneObject, Shape, Sphere
 from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
 
@@ -53,10 +54,14 @@ def _mover(person: SceneObject) -> Mover:
     assert isinstance(person.shape, Capsule)
     end = start + velocity * PASSES if speed > MOVING else start + np.array([0.0, 0.001, 0.0])
     pause = 0.0 if speed > MOVING else 1e6
-    a, b = tuple(start.tolist()), tuple(end.tolist())
-    return Mover(
-        a, b, max(speed, 0.01), pause, 0.0, person.name, person.shape.radius, person.shape.half_length,
-    )  # fmt: skip
+    a, b, axis = (_triple(v) for v in (start, end, matrix(person.pose.quaternion)[:, 2]))
+    shape = person.shape
+    return Mover(a, b, max(speed, 0.01), pause, 0.0, person.name, shape.radius, shape.half_length, axis)
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _bottom(thing: SceneObject) -> float:

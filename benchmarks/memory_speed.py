@@ -1,0 +1,183 @@
+"""How fast memory is: search beside one matrix-vector product, an update beside one synced write, a start; and peers.
+
+    python benchmarks/memory_speed.py [--sizes 10000 100000] [--start 100000] [--peers] [--json]
+
+Search is the exact top 10 of R with filters over random unit vectors of length 512, beside one single-thread
+matrix-vector product with the same matrix, alternately in one process; ratios are of processor time, which a busy
+machine does not lengthen. `--peers` runs Milvus Lite, LanceDB and pgvector in an environment of their own
+(`benchmarks/memory/requirements.txt`, below build/), each beside the same product in its own process, by wall clock,
+because their work is not all in this process. Every figure is a median.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
+
+from dualbrain.memory.embedding import JointEmbedding
+from dualbrain.memory.filters import Columns, Filter
+from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.index import vector_of
+from dualbrain.memory.ledger import Entry, Ledger
+from dualbrain.memory.provenance import Provenance
+from dualbrain.memory.retrieval import Query, Scan
+from dualbrain.memory.state import Memo
+from dualbrain.memory.store import Memory
+from dualbrain.memory.trace import payload
+
+DIM, TOP, LAMBDA = 512, 10, 0.8
+HERE = Path(__file__).resolve().parent
+PEERS = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
+WHERE = Filter(ROBOT, REGISTRY, "follow", skills=("grasp",), after=START)
+
+
+def main() -> int:
+    asked = parse()
+    report: dict[str, Any] = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "load": os.getloadavg()[0]}
+    report["search"] = [search(n, asked.rounds) for n in asked.sizes]
+    report["update"] = update(asked.rounds)
+    if asked.start:
+        report["start"] = start(asked.start)
+    if asked.peers:
+        report["peers"] = peers()
+    print(json.dumps(report, indent=None if asked.json else 1))
+    return 0
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=int, nargs="*", default=[10_000, 100_000], help="rows to search")
+    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--start", type=int, default=0, help="also: a start with this many episodes")
+    parser.add_argument("--peers", action="store_true", help="also: Milvus Lite, LanceDB and pgvector at 1e5")
+    parser.add_argument("--json", action="store_true", help="one line")
+    return parser.parse_args()
+
+
+def search(n: int, rounds: int) -> dict[str, float]:
+    """Medians of our search and of the product, over `rounds` alternating calls [ms of processor], and their ratio."""
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((n, DIM), dtype=np.float32)
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    scan, columns = Scan(DIM), Columns()
+    scan.load(rows, rng.random(n), np.ones(n, np.uint8))
+    for row in range(n):
+        columns.add(_memo(row, "succeeded" if row % 10 else "failed"))
+    queries = rows[rng.integers(0, n, rounds)] + 0.05 * rng.standard_normal((rounds, DIM), dtype=np.float32)
+    ours, limit = list[float](), list[float]()
+    for query in queries:
+        limit.append(_timed(lambda query=query: rows @ query, time.thread_time))
+        ours.append(_timed(lambda query=query: _top(scan, columns, query), time.thread_time))
+    half = len(ours) // 5
+    a, b = statistics.median(ours[half:]), statistics.median(limit[half:])
+    return {"rows": n, "search_ms": a, "product_ms": b, "ratio": a / b}
+
+
+def _top(scan: Scan, columns: Columns, query: np.ndarray) -> object:
+    return scan.top(scan.compare(Query.plain(query)), columns.mask(WHERE), TOP, LAMBDA)
+
+
+def _memo(row: int, kind: Any) -> Memo:
+    origin = Provenance("planner", skills=("grasp", "place") if row % 2 else ("grasp",))
+    return Memo(str(row), row, START + row, "", ROBOT, REGISTRY, kind, 0.001, origin, "active", 0.5, 0.5)
+
+
+def update(rounds: int) -> dict[str, float]:
+    """Storing an episode that moves 100 neighbours, beside one synced write of one small event [ms]."""
+    with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
+        with Ledger(Path(folder) / "a.db", holder="a benchmark", now=START) as ledger:
+            memory = Memory(ledger, HashingEncoder(64), CONFIG)
+            for number in range(150):
+                memory.store(made_up(f"seed-{number}", kind="declined"), REST, now=START)
+            stores, syncs, moved = list[float](), list[float](), 0
+            for number in range(rounds):
+                syncs.append(_timed(lambda: ledger.append([Entry("note", "", 1)], now=START)))
+                kind = "succeeded" if number % 2 else "failed"
+                one = made_up(f"e-{number}", kind=kind)
+                began = time.perf_counter()
+                moved = max(moved, memory.store(one, REST, now=START + 86400.0 * number).neighbours)
+                stores.append((time.perf_counter() - began) * 1e3)
+        a, b = statistics.median(stores), statistics.median(syncs)
+        return {"neighbours": moved, "store_ms": a, "synced_event_ms": b, "ratio": a / b}
+
+
+def start(n: int) -> dict[str, float]:
+    """Opening memory with `n` episodes [s] in new processes: from all events, and from the snapshot then left."""
+    with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
+        path = Path(folder) / "a.db"
+        _fill(path, n)
+        first, *again = (_open(path) for _ in range(4))
+        size = sum(file.stat().st_size for file in Path(folder).iterdir()) / 1e6
+    (wall, processor), best = first, min(again)
+    return {"episodes": n, "from_events_s": wall, "from_events_processor_s": processor, "from_snapshot_s": best[0],
+            "from_snapshot_processor_s": min(one[1] for one in again), "files_MB": size}  # fmt: skip
+
+
+def _open(path: Path) -> tuple[float, float]:
+    """Seconds to open memory in a process of its own, by wall clock and of processor, its imports not counted."""
+    program = (
+        "import time, sys, pathlib; from dualbrain.memory.hashing import HashingEncoder; "
+        "from dualbrain.memory.store import Memory; from dualbrain.memory.ledger import Ledger; "
+        "from proofs.episodes import CONFIG, START; began = time.perf_counter(), time.process_time(); "
+        "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='a benchmark', now=START); "
+        "memory = Memory(ledger, HashingEncoder(384), CONFIG); "
+        "took = time.perf_counter() - began[0], time.process_time() - began[1]; "
+        "assert len(memory); ledger.close(); print(*took)"
+    )
+    command = [sys.executable, *(["-S"] if sys.flags.no_site else []), "-c", program, str(path)]
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environ)
+    wall, processor = map(float, done.stdout.split())
+    return wall, processor
+
+
+def _fill(path: Path, n: int) -> None:
+    """A ledger of `n` episodes with one weight event each, as a run writes them, in large transactions."""
+    embedding = JointEmbedding(HashingEncoder(384), CONFIG.limits, CONFIG.embedding)
+    version, rng = embedding.version(ROBOT), np.random.default_rng(1)
+    base = embedding.embed("grasp the cube", "cube: object, neighbour_across low", REST, ROBOT)
+    with Ledger(path, holder="a benchmark", now=START) as ledger:
+        for first in range(0, n, 1000):
+            entries = list[Entry]()
+            for number in range(first, min(first + 1000, n)):
+                one = made_up(f"e-{number}", plan=contract(object="cube", speed=0.1 + number * 1e-6))
+                body = payload(one, REST, None, version, CONFIG.plasticity, "active")
+                noisy = base.row + 0.02 * rng.standard_normal(embedding.dim, dtype=np.float32)
+                entries.append(Entry("episode", one.id, body, vector_of(type(base)(noisy, base.mask), version)))
+                told = {"cause": one.id, "memory": one.id, "rule": "reinforce", "rank": 0, "gain": 0.95}
+                entries.append(Entry("weight", one.id, {**told, "offset": 0.1, "before": 0.5, "after": 0.575}))
+            ledger.append(entries, now=START + first)
+
+
+def peers() -> object:
+    """What the peers' process says of itself, or why it did not run."""
+    if not PEERS.exists():
+        return "not installed: see benchmarks/memory/requirements.txt"
+    done = subprocess.run([str(PEERS), str(HERE / "memory" / "peers.py")], capture_output=True, text=True, check=False)
+    return json.loads(done.stdout) if done.returncode == 0 else done.stderr[-800:]
+
+
+def _timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    began = clock()
+    work()
+    return (clock() - began) * 1e3
+
+
+if __name__ == "__main__":
+    sys.exit(main())

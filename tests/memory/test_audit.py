@@ -1,0 +1,155 @@
+"""The audit finds what was hidden in a ledger and nothing else; utility and the map follow their definitions."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dualbrain.memory.audit import audit, sources
+from dualbrain.memory.curation import note_adapter, note_audit, quarantine
+from dualbrain.memory.export import rows
+from dualbrain.memory.map import memory_map
+from dualbrain.memory.store import Memory
+from dualbrain.memory.utility import Use, judge, total, was_used
+from dualbrain.memory.verify import verify
+from dualbrain.records import Recall
+
+from .samples import NOW, REST, contract, episode, open_ledger, open_memory
+
+WORDS = ("put the red cube in the bowl", "open the drawer", "push the mug away", "turn off the lamp")
+
+
+def _plan(number: int, **params: Any) -> dict[str, Any]:
+    step = {"skill": "grasp", "params": {"object": f"thing-{number}", "speed": 0.1, **params}}
+    return {**contract(), "action_sequence": [step]}
+
+
+def _clean(memory: Memory) -> None:
+    """Four situations, each three times with the same plan and the same verdict, of changing words."""
+    for i in range(12):
+        one = episode(f"e-{i}", "succeeded" if i % 4 else "failed", Delta=0.002, instruction=WORDS[i % 4],
+                      summary=f"s{i % 4}", plan=_plan(i % 4, speed=0.1 + i * 1e-4))  # fmt: skip
+        memory.store(one, REST, now=NOW + i)
+
+
+def _kinds(memory: Memory, kind: str) -> set[str]:
+    return {one.memory for one in audit(memory).findings if one.kind == kind}
+
+
+def test_a_clean_ledger_gives_no_findings(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _clean(memory)
+        assert audit(memory).findings == ()
+
+
+def test_a_false_verdict_is_found_by_those_like_it(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _clean(memory)
+        lie = episode("lie", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0))
+        memory.store(lie, REST, now=NOW + 20)
+        other_plan = episode("other plan", Delta=0.0, instruction=WORDS[0], summary="s0", plan=_plan(0, speed=0.3))
+        memory.store(other_plan, REST, now=NOW + 21)
+        assert _kinds(memory, "label conflict") == {"lie"}
+        (finding,) = [one for one in audit(memory).findings if one.kind == "label conflict"]
+        assert set(finding.others) == {"e-0", "e-4", "e-8"}
+        quarantine(memory, ["lie"], "label conflict", now=NOW + 30)
+        assert _kinds(memory, "label conflict") == set()
+
+
+def test_repetition_and_odd_verdicts_are_found(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        for i in range(4):
+            memory.store(episode(f"copy-{i}"), REST, now=NOW)
+        memory.store(episode("struggle", Delta=0.2, instruction=WORDS[1], summary="x"), REST, now=NOW)
+        memory.store(episode("odd", "failed", Delta=0.0, instruction=WORDS[2], summary="y"), REST, now=NOW)
+        found = {one.kind: one for one in audit(memory).findings}
+        assert (found["near duplicates"].memory, len(found["near duplicates"].others)) == ("copy-0", 3)
+        assert (found["struggle"].memory, found["untouched failure"].memory) == ("struggle", "odd")
+        note_audit(memory, audit(memory), now=NOW)
+        assert open_memory(ledger).weights() == memory.weights()
+
+
+def test_the_blast_radius_counts_what_a_source_did(tmp_path: Path) -> None:
+    """Oracle: the weight events, by hand."""
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        memory.store(episode("a", by="old"), REST, now=NOW)
+        for i in range(3):
+            shown = memory.recall(WORDS[0], "neighbour_across low", REST, "arm", "aaaa1111", k=1)
+            memory.store(episode(f"b-{i}", "failed", by="new", recall=Recall(shown.exemplars)), REST, now=NOW)
+        note_adapter(memory, "adapter-1", "d" * 8, ["b-1", "a"], now=NOW)
+        first, second = sources(memory)
+        moved = [0.575]
+        for _ in range(3):
+            moved.append(0.95 * moved[-1] - 0.2 * 0.5 * 1.0)
+        assert (first.source, first.memories, first.touched) == ("new", ("b-0", "b-1", "b-2"), 1)
+        assert first.moved == pytest.approx(moved[0] - max(0.0, moved[-1]), abs=0.02)
+        assert (second.source, second.moved) == ("old", 0.0)
+        assert (first.adapters, second.adapters) == (("adapter-1",), ("adapter-1",))
+
+
+def test_vectors_that_were_tampered_with_are_found(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _clean(memory)
+        assert verify(ledger, embedding=memory.embedding).whole
+        ledger._database.execute("UPDATE vector SET data = zeroblob(length(data)) WHERE seq = 1")
+        ledger._database.execute("DELETE FROM vector WHERE seq = 3")
+        found = verify(ledger, embedding=memory.embedding)
+        assert (found.whole, found.vectors_wrong, found.chain.whole) == (False, 2, True)
+
+
+def test_an_export_holds_every_memory(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _clean(memory)
+        out = list(rows(ledger, memory.state))
+        assert [row["id"] for row in out] == list(memory.weights())
+        assert [row["weight"] for row in out] == list(memory.weights().values())
+        assert all(row["episode"]["contract"] and "judgement" not in row["episode"] for row in out)
+
+
+def test_the_map_shows_distances_as_far_as_two_axes_can(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        assert memory_map(memory).points.shape == (0, 2)
+        _clean(memory)
+        drawn = memory_map(memory)
+        assert drawn.points == pytest.approx(memory_map(memory).points)
+        assert 0.3 < drawn.shown <= 1.0
+        spread = np.linalg.norm(drawn.points[:, None] - drawn.points[None], axis=2)
+        same = np.equal.outer(np.arange(12) % 4, np.arange(12) % 4)
+        assert spread[same].max() < 1e-6 < spread[~same].min()
+
+
+FOLLOWED, OTHER = _plan(1, speed=0.2), _plan(1, speed=0.4)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "without", "used"),
+    [
+        (FOLLOWED, OTHER, True),
+        (FOLLOWED, None, True),
+        (FOLLOWED, FOLLOWED, False),
+        (_plan(1, speed=0.205), OTHER, True),
+        (_plan(2, speed=0.4), OTHER, False),
+        ({**FOLLOWED, "action_sequence": FOLLOWED["action_sequence"] * 2}, OTHER, False),
+        (None, OTHER, False),
+        ({"action_sequence": [{"skill": "decline", "params": {"reason": "no"}}]}, OTHER, False),
+    ],
+)
+def test_a_memory_is_used_only_if_it_changed_the_contract_towards_it(chosen: Any, without: Any, used: bool) -> None:
+    assert was_used(FOLLOWED, chosen, without) == used
+
+
+def test_utility_counts_what_helped() -> None:
+    def use(succeeded: bool, Delta: float | None, reference: float | None) -> Use:
+        return judge("m", FOLLOWED, FOLLOWED, OTHER, succeeded=succeeded, Delta=Delta, reference=reference)
+
+    uses = [use(True, 0.001, 0.002), use(True, 0.003, 0.002), use(False, 0.001, 0.002), use(True, 0.5, None)]
+    assert [one.contributing for one in uses] == [True, False, False, True]
+    assert (total(uses).rate, total(uses).used, total([]).rate) == (0.5, 4, None)
