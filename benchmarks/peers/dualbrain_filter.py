@@ -70,7 +70,7 @@ class Filter:
         """A, b, lower, upper of the last step, as the filter itself states them."""
         rows = self.filter.rows()
         lower, upper = self.filter._kernel.box()
-        A = np.array([row.a for row in rows], float).reshape(len(rows), -1)
+        A = np.array([row.a for row in rows], float).reshape(len(rows), len(lower))
         return A, np.array([row.b for row in rows], float), np.array(lower), np.array(upper)
 
     def flag(self) -> str | None:

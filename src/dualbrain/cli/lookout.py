@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
+from math import inf, nan
 
 import numpy as np
 from rich.console import Console
@@ -67,12 +68,12 @@ class Lookout:
         """Show a tick of a gatekeeper's loop, as it was told over the socket."""
         if glimpse.in_contract:
             self._deltas.append(glimpse.delta)
-            self._h_min = min(self._h_min, glimpse.h_min)
+            self._h_min = min(self._h_min, inf if glimpse.h_min is None else glimpse.h_min)
         q = np.array(glimpse.q)
         centres, radii, _ = self._kinematics.spheres(q, glimpse.opening)
         order = f" [{glimpse.order}: {glimpse.check}]" if glimpse.check else ""
         numbers: dict[str, float | str] = {
-            "h_min": glimpse.h_min, "delta": glimpse.delta,
+            "h_min": nan if glimpse.h_min is None else glimpse.h_min, "delta": glimpse.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
             "speed": glimpse.speed, "elapsed": glimpse.t, "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
