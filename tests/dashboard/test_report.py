@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dualbrain.dashboard.map_chart import map_section
 from dualbrain.dashboard.numbers import key_numbers
 from dualbrain.dashboard.page import Html, element, table
 from dualbrain.dashboard.plots import envelope
 from dualbrain.dashboard.report import Snapshot, render_report, write_report
+from dualbrain.memory.map import MemoryMap
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.runtime.trace import Trace
 from dualbrain.safety.barriers import BARRIERS
@@ -193,3 +195,15 @@ def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episod
     }
     assert all(isinstance(one.value, float | int) for one in key_numbers(episode))
     assert isinstance(element("p"), Html)
+
+
+def test_the_memory_map_is_drawn_when_there_is_one():
+    points = np.random.default_rng(0).standard_normal((5, 2))
+    kinds, statuses = ("succeeded", "failed", "rejected", "succeeded", "failed"), ("active",) * 4 + ("quarantined",)
+    drawn = MemoryMap(points, np.array([0.1, 0.3, 0.5, 0.7, 0.95]), tuple("abcde"), kinds, statuses, 0.61)
+    page = map_section(drawn, "c")
+    assert page.count("<svg") == 1
+    assert "5 memories" in page
+    assert "61%" in page
+    few = MemoryMap(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
+    assert "Too few memories" in map_section(few, "a")

@@ -26,6 +26,7 @@ from dualbrain.cli.ctrl_c import ctrl_c
 from dualbrain.cli.lookout import Lookout
 from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
+from dualbrain.memory.map import memory_map
 from dualbrain.records import Episode
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
@@ -76,7 +77,8 @@ def carry_out(
             answer(msgspec.json.encode(summary(finished.episode, out)).decode())
         album.snap("the end")
         album.close()
-        write_report(out / "report.html", finished.episode, finished.trace, album.pictures)
+        drawn = memory_map(session.memory)
+        write_report(out / "report.html", finished.episode, finished.trace, album.pictures, drawn)
         console.print(f"[dim]report: {out / 'report.html'}[/]")
         if lookout:
             lookout.finish(finished.episode, stay=stay)

@@ -87,7 +87,7 @@ def strip_chart(episode: Episode, trace: Trace) -> Html:
         rows[3].set_xlabel("time [s]", loc="right", labelpad=2)
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return _themed(out.getvalue())
+    return themed(out.getvalue(), "contract, clearance, intervention and speed over time")
 
 
 def _limits(trace: Trace) -> tuple[float, float]:
@@ -235,7 +235,7 @@ def _draw_speed(axes: Axes, trace: Trace) -> None:
     axes.set_ylim(0, None)
 
 
-def _themed(svg: str) -> Html:
+def themed(svg: str, label: str) -> Html:
     """The drawing alone (no XML prologue), with the page's colours and fonts."""
     svg = svg[svg.index("<svg") :]
     for name, stand_in in STAND_INS.items():
@@ -246,6 +246,4 @@ def _themed(svg: str) -> Html:
         svg,
     )
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    return Html(
-        svg.replace("<svg ", '<svg role="img" aria-label="contract, clearance, intervention and speed over time" ', 1)
-    )
+    return Html(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.verdict import Accepted, Rejected
+from dualbrain.dashboard.map_chart import map_section
 from dualbrain.dashboard.numbers import KeyNumber, dimensionless, key_numbers, millimetres, seconds
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
 from dualbrain.dashboard.plots import strip_chart
+from dualbrain.memory.map import MemoryMap
 from dualbrain.records import Attempt, Episode, Exemplar
 from dualbrain.runtime.trace import DEAD_BAND, Event, Trace
 from dualbrain.safety.barriers import BARRIERS
@@ -40,13 +42,17 @@ class Snapshot:
     rgb: NDArray[np.uint8]
 
 
-def write_report(path: Path, episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = ()) -> None:
+def write_report(
+    path: Path, episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), drawn: MemoryMap | None = None
+) -> None:
     """Write the report of `episode` to `path`; `trace` may be empty (a contract refused at the gate)."""
-    path.write_text(render_report(episode, trace, snapshots), encoding="utf-8")
+    path.write_text(render_report(episode, trace, snapshots, drawn), encoding="utf-8")
 
 
-def render_report(episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = ()) -> str:
-    """The report as HTML."""
+def render_report(
+    episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] = (), drawn: MemoryMap | None = None
+) -> str:
+    """The report as HTML, with a map of memory if one is given."""
     parts = (
         _header(episode),
         element("div", *map(_tile, key_numbers(episode)), class_="tiles"),
@@ -55,6 +61,7 @@ def render_report(episode: Episode, trace: Trace, snapshots: Sequence[Snapshot] 
         _contract(episode),
         _planner(episode),
         _memory(episode, trace.events),
+        *([map_section(drawn, episode.id)] if drawn else []),
         _knowledge(episode),
         _violations(episode),
         _barriers(episode),

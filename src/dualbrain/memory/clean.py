@@ -8,6 +8,8 @@ from typing import Any, cast
 def clean(value: Any) -> Any:
     """The same value without what JSON in UTF-8 cannot hold: lone surrogates become U+FFFD, huge integers words."""
     match value:
+        case str() if value.isascii():
+            return value
         case str():
             return value.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
         case dict():
