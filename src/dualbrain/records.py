@@ -109,13 +109,17 @@ class Place(Record, frozen=True):
 
 
 class Scene(Record, frozen=True):
-    """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes."""
+    """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes.
+
+    `region` is the part of the floor that a base may drive on: corners (x, y) [m] of a convex polygon, counter-clockwise.
+    """
 
     robot: str
     stamp: float
     version: int
     objects: tuple[SceneObject, ...]
     places: tuple[Place, ...] = ()
+    region: tuple[tuple[float, float], ...] = ()
 
     def find(self, name: str) -> SceneObject:
         """The object called `name`; raises `UnknownName`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ from dualbrain.errors import UnknownName
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-BODIES = ("panda", "ur5e")
+BODIES = ("panda", "fr3", "ur5e", "base")
 
 
 class Bound(msgspec.Struct, frozen=True):
@@ -136,6 +137,16 @@ class Body(msgspec.Struct, frozen=True):
         return len(self.joints)
 
     @property
+    def mobile(self) -> bool:
+        """Whether the body drives: its configuration begins with (x, y, θ), its control with (v, ω)."""
+        return self.base == "differential"
+
+    @property
+    def width(self) -> int:
+        """Length of a configuration q: one more than the control's where the body drives."""
+        return self.n + self.mobile
+
+    @property
     def alpha(self) -> float:
         """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s]."""
         return min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
@@ -175,8 +186,12 @@ def load_body(name: str) -> Body:
 
 @lru_cache
 def _shipped(name: str) -> Body:
-    data = resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
-    return msgspec.json.decode(data, type=Body)
+    return msgspec.json.decode(data_file(name).read_bytes(), type=Body)
+
+
+def data_file(name: str) -> Traversable:
+    """Where the data of the body called `name` is kept, whether or not it is there yet."""
+    return resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json")
 
 
 def encode(body: Body) -> bytes:

@@ -37,6 +37,7 @@ TURN_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
 def differential_base(
     name: str, discs: Sequence[tuple[float, float, float]], *, speed: Bound, turn: Bound, acceleration: Bound,
     turn_acceleration: Bound, tracking: Tracking, period: float = 0.02, licence: str = "Apache-2.0",
+    source: str = "given by the user",
 ) -> Body:  # fmt: skip
     """A base whose footprint is covered by `discs` (x, y, radius) [m] in its own frame.
 
@@ -44,7 +45,7 @@ def differential_base(
     """
     none = Bound(0.0, "m", "no gripper")
     return Body(
-        name=name, source="given by the user", licence=licence,
+        name=name, source=source, licence=licence,
         joints=(
             _joint("drive", TURN_Z_TO_X, "prismatic", speed, acceleration),
             _joint("turn", TURN_X_TO_Z, "revolute", turn, turn_acceleration),

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment import panda, ur5e
+from dualbrain.embodiment import base, fr3, panda, ur5e
 from dualbrain.embodiment.body import (
     BODIES,
     Body,
@@ -27,6 +27,7 @@ from dualbrain.embodiment.body import (
     Tool,
     Tracking,
     Vector,
+    data_file,
     encode,
     load_body,
 )
@@ -76,7 +77,7 @@ class Facts(Protocol):
 
 def make(name: str, seed: int, options: FitOptions, configurations: int, tell: Tell) -> Body:
     """The body called `name`: its facts, spheres fitted to its parts, pairs chosen by sampling."""
-    facts, known = FACTS[name], load_body(name) if name in BODIES else None
+    facts, known = FACTS[name], load_body(name) if name in BODIES and data_file(name).is_file() else None
     cover = fit(facts, seed, options, tell)
     joints, links = facts.joints(), facts.links()
     tell(f"self pairs: {configurations} random configurations")
@@ -140,7 +141,7 @@ def _vector(values: NDArray[np.float64]) -> Vector:
     return (x, y, z)
 
 
-FACTS: dict[str, Facts] = {"panda": panda, "ur5e": ur5e}
+FACTS: dict[str, Facts] = {"panda": panda, "fr3": fr3, "ur5e": ur5e}
 """To add a body, write its facts and name them here and in `BODIES`."""
 
 
@@ -151,9 +152,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    if asked.body not in FACTS:
-        raise UnknownName("robot", asked.body, tuple(FACTS))
-    body = make(asked.body, asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
+    if asked.body not in (*FACTS, "base"):
+        raise UnknownName("robot", asked.body, (*FACTS, "base"))
+    if asked.body == "base":
+        known = load_body("base") if data_file("base").is_file() else None
+        body = base.body(known.tracking if known else UNKNOWN)
+    else:
+        body = make(asked.body, asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
     asked.out.write_bytes(encode(body))
     _to_stderr(f"{asked.out}: {len(body.spheres)} spheres, {len(body.self_pairs.kept)} link pairs kept")
     return 0

@@ -148,7 +148,7 @@ class Recorder:
             name: (rows[:, where] if where.stop - where.start > 1 else rows[:, where.start]).tolist()
             for name, where in self._trace.columns.items()
         }
-        return Ticks(float(rows[0, 0]), self._trace.n, tuple(self._trace.phases), table)
+        return Ticks(float(rows[0, 0]), self._trace.n, tuple(self._trace.phases), table, self._trace.width)
 
 
 class _File:

@@ -67,10 +67,11 @@ class Ticks(msgspec.Struct, frozen=True):
     n: int
     phases: tuple[str, ...]
     columns: dict[str, list[Any]]
+    width: int | None = None
 
     def rows(self) -> Array:
         """The logged rows (ticks, width), bit for bit."""
-        where = columns(self.n)
+        where = columns(self.n, self.width)
         rows = np.empty((len(self.columns["t"]), where["phase"].stop))
         for name, place in where.items():
             if name in self.columns or name not in UNSUPERVISED:
@@ -157,7 +158,7 @@ def read_trace(path: Path) -> Trace | None:
     events: list[Event] = []
     for message in read_recording(path):
         if isinstance(message, Ticks):
-            trace = trace or Trace(message.n)
+            trace = trace or Trace(message.n, message.width)
             trace.extend(message.rows())
             trace.phases[:] = message.phases
         elif isinstance(message, Event):

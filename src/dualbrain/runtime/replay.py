@@ -77,7 +77,7 @@ class _Machine:
 
     def __init__(self, robot: str, *, guard: bool) -> None:
         body = load_body(robot)
-        self._filter, self._guard, self._where = SafetyFilter(body), guard, columns(body.n)
+        self._filter, self._guard, self._where = SafetyFilter(body), guard, columns(body.n, body.width)
 
     def call(self, name: str, arguments: dict[str, Any]) -> None:
         """Repeat one call that changes the filter's tables."""

@@ -111,7 +111,7 @@ def _once(stored: _Stored, robot: str, rng: np.random.Generator) -> Try:
     plant.place_arm(np.asarray(stored.state.q), stored.state.opening)
     world = SimulatedWorld(plant, Perception(spec, Noise(), rng))
     layer = LocalLayer(
-        body, plant, world, SafetyFilter(body), FlightLog(Trace(body.n)), LayerConfig(), phase_changed=world.allow
+        body, plant, world, SafetyFilter(body), FlightLog(Trace(body.n, body.width)), LayerConfig(), phase_changed=world.allow
     )
     layer.hold(0.5)
     accepted = _accepted(layer, body, stored.episode.contract)

@@ -186,7 +186,7 @@ class Session:
         )
         save_scene(self.spec, out / "scene.json")
         self.interrupted = self.ledger.start_run(out.name, {"instruction": config.instruction}, now=self.times.now())
-        trace = Trace(self.body.n)
+        trace = Trace(self.body.n, self.body.width)
         with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
             log = FlightLog(trace, recorder, onlooker.event)
             about = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}

@@ -97,8 +97,8 @@ class Summary:
     h_min: float | None
 
 
-def columns(n: int) -> dict[str, slice]:
-    """Where each quantity lies in a logged row, for `n` joints.
+def columns(n: int, width: int | None = None) -> dict[str, slice]:
+    """Where each quantity lies in a logged row, for `n` joints and configurations of length `width` (default: n).
 
     Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
     `opening` [m], finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s], `delta`, `delta_rows`,
@@ -106,7 +106,7 @@ def columns(n: int) -> dict[str, slice]:
     `order` (rung of the ladder) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking in the filter's
     stead. Then the `action` index and `phase` code.
     """
-    widths = {"t": 1, "stamp": 1, "sequence": 1, "q": n, "v": n, "opening": 1, "forces": 2, "drive": 1, "u_nom": n}
+    widths = {"t": 1, "stamp": 1, "sequence": 1, "q": width or n, "v": n, "opening": 1, "forces": 2, "drive": 1, "u_nom": n}
     widths |= {"u": n, "delta": 1, "delta_rows": 1, "delta_box": 1, "h_min": 1, "status": 1, "certified": 1}
     widths |= {"iterations": 1, "n_rows": 1, "delta_supervisor": 1, "order": 1, "touched": 1, "action": 1, "phase": 1}
     ends = np.cumsum(list(widths.values())).tolist()
@@ -132,10 +132,10 @@ class Trace:
     are exact in float64 (the kernel's float32 control included).
     """
 
-    def __init__(self, n: int) -> None:
-        """A log for a body with `n` joints."""
-        self.n = n
-        self.columns = columns(n)
+    def __init__(self, n: int, width: int | None = None) -> None:
+        """A log for a body with `n` joints and configurations of length `width` (default: n)."""
+        self.n, self.width = n, width
+        self.columns = columns(n, width)
         self.phases: list[str] = []
         self.events: list[Event] = []
         self._width = self.columns["phase"].stop

@@ -37,6 +37,23 @@ def colour_of(name: str) -> tuple[float, float, float, float]:
 
 def dress_room(root: mujoco.MjSpec, floor: float) -> None:
     """Sky, floor and table materials, lights, table legs and three cameras: front, top, side."""
+    _materials_and_light(root)
+    _legs(root, floor)
+    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
+    _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
+    _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
+
+
+def dress_hall(root: mujoco.MjSpec) -> None:
+    """Sky, floor and lights of a room to drive in, and three cameras: front, top, side."""
+    _materials_and_light(root)
+    _camera(root, "front", (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2), fovy=48)
+    _camera(root, "top", (2.0, 0.0, 8.5), (2.0, 0.0, 0.0), fovy=45, up=(0.0, 1.0, 0.0))
+    _camera(root, "side", (2.0, -7.0, 3.0), (2.0, 0.0, 0.3), fovy=45)
+
+
+def _materials_and_light(root: mujoco.MjSpec) -> None:
+    """Sky, floor and table materials, lights."""
     root.visual.global_.offwidth, root.visual.global_.offheight = 1280, 960
     root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.38] * 3, [0.18] * 3
     root.visual.headlight.specular = [0.05] * 3
@@ -55,12 +72,6 @@ def dress_room(root: mujoco.MjSpec, floor: float) -> None:
     root.worldbody.add_light(
         name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp
     )
-    _legs(root, floor)
-    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
-    _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
-    _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
-
-
 def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
     """A turned bowl: a profile swept about z, drawn over the staves."""
     outer, inner, high, base = bowl.radius + 0.002, bowl.radius - bowl.wall - 0.002, bowl.height, 0.75 * bowl.radius
@@ -104,6 +115,21 @@ def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
     for shift in (-0.024, -0.008, 0.008, 0.024):
         rod(inner - 0.028 + 0.4 * abs(shift), inner + 0.03, 0.0078, "skin", shift=shift)
     rod(inner + 0.015, inner + 0.06, 0.0085, "skin", shift=0.034)
+
+
+def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
+    """A head, a trunk and two legs inside the standing capsule that collides."""
+    r, half = mover.radius, mover.half_length
+
+    def rod(start: float, end: float, radius: float, colour: str, y: float = 0.0) -> None:
+        body.add_geom(
+            type=_GEOM.mjGEOM_CAPSULE, size=[radius, 0, 0], fromto=[0, y, start, 0, y, end], rgba=colour_of(colour), **LOOK
+        )
+
+    rod(half, half + 0.05, 0.4 * r, "skin")
+    rod(-0.05, half - 0.2, 0.72 * r, "sleeve")
+    for side in (-1, 1):
+        rod(-half, -0.05, 0.3 * r, "black", y=side * 0.35 * r)
 
 
 def _turn_to(axis: np.ndarray) -> list[float]:

@@ -3,7 +3,8 @@
 Nothing is downloaded. Whatever the source, the result of an arm of n joints obeys one convention: bodies
 `link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
 finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
-every moving body.
+every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of its
+name, and the site `tcp`.
 """
 
 # MuJoCo ships no type stubs:
@@ -17,16 +18,21 @@ from pathlib import Path
 
 import mujoco
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.menagerie import adapt, menagerie_file
 from dualbrain.world.visual_meshes import add_visuals, mesh_folder
 
-MODELS = ("panda", "ur5e")
+MODELS = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base"}
+"""File of every robot's built-in model; joint limits are the body's own."""
+
+BASE_JOINTS = ("x", "y", "yaw")
 
 
 def required(n: int) -> dict[str, tuple[str, ...]]:
-    """The parts that the model of an arm of `n` joints must have, by kind."""
+    """The parts that the model of an arm of `n` joints must have, by kind; of a base where n = 0."""
+    if n == 0:
+        return {"body": ("link0",), "joint": BASE_JOINTS, "actuator": BASE_JOINTS, "site": ("tcp",)}
     return {
         "body": (*(f"link{i}" for i in range(n + 1)), "hand", "left_finger", "right_finger"),
         "joint": (*(f"joint{i}" for i in range(1, n + 1)), "finger_joint1", "finger_joint2"),
@@ -57,14 +63,14 @@ def robot_model(
     Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
     """
     if name not in MODELS:
-        raise UnknownName("robot model", name, MODELS)
+        raise UnknownName("robot model", name, tuple(MODELS))
     if path is not None:
         spec, source, dressed = _user(path), f"file {path.name}", True
     elif name == "panda" and (found := menagerie_file(menagerie)) is not None:
         spec, source, dressed = adapt(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
     else:
         spec, source, dressed = _built_in(name), "built-in", False
-    _check(spec, source, load_body(name).n)
+    _fit(spec, source, load_body(name))
     if not visuals:
         strip_visuals(spec)
     elif name == "panda" and not dressed and (folder := mesh_folder()) is not None:
@@ -80,7 +86,7 @@ def strip_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def _built_in(name: str) -> mujoco.MjSpec:
-    text = resources.files("dualbrain.world").joinpath("models", f"{name}.xml").read_text()
+    text = resources.files("dualbrain.world").joinpath("models", f"{MODELS[name]}.xml").read_text()
     return mujoco.MjSpec.from_string(text)
 
 
@@ -93,8 +99,15 @@ def _user(path: Path) -> mujoco.MjSpec:
         ) from error
 
 
-def _check(spec: mujoco.MjSpec, source: str, n: int) -> None:
-    for kind, names in required(n).items():
+def _fit(spec: mujoco.MjSpec, source: str, body: Body) -> None:
+    """Check that every part is there, and give the joints the body's own ranges."""
+    _check(spec, source, required(0 if body.mobile else body.n))
+    for index, joint in enumerate(() if body.mobile else body.joints, start=1):
+        spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
+
+
+def _check(spec: mujoco.MjSpec, source: str, parts: dict[str, tuple[str, ...]]) -> None:
+    for kind, names in parts.items():
         missing = [name for name in names if getattr(spec, kind)(name) is None]
         if missing:
             raise InvalidSetup(

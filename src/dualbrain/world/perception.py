@@ -79,7 +79,10 @@ class Perception:
         if names != self._names:
             self._names, self._version = names, self._version + 1
         table = msgspec.structs.replace(TABLE, stamp=now)
-        return Scene(self._spec.robot, now, self._version, (table, *seen), self._spec.places)
+        support = () if self._spec.region else (table,)
+        return Scene(
+            self._spec.robot, now, self._version, (*support, *seen), self._spec.places, self._spec.region
+        )
 
     def _capture(self, plant: Plant, now: float) -> None:
         elapsed = 0.0 if self._looked is None else now - self._looked

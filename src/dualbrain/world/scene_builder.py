@@ -10,11 +10,13 @@ collision shapes. Robot names carry the prefix `robot/`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from dualbrain.records import Bowl, Box, Capsule, Cylinder, Sphere
-from dualbrain.world.looks import bowl_look, colour_of, dress_room, forearm_look
+from dualbrain.world.looks import bowl_look, colour_of, dress_hall, dress_room, forearm_look, person_look
 from dualbrain.world.model_provider import RobotModel
 from dualbrain.world.mover import DAMPING, STIFFNESS, path_of
 from dualbrain.world.scene_spec import TABLE_X, TABLE_Y, Mover, SceneSpec, Thing
@@ -24,6 +26,8 @@ PREFIX = "robot/"
 TABLE_THICKNESS = 0.04
 FLOOR = -0.74
 BOWL_STAVES = 20
+WALL = (0.05, 0.5)
+"""Half the thickness and the height of a wall [m]."""
 LOAD, LOAD_DENSITY = "load", 3000.0
 """Name and density [kg/m³] of a cube that is fixed at the tool."""
 
@@ -38,8 +42,12 @@ def build_model(spec: SceneSpec, robot: RobotModel, *, load: float = 0.0) -> muj
     root = mujoco.MjSpec()
     root.modelname = f"{spec.family}_{spec.seed}"
     _options(root)
-    dress_room(root, FLOOR)
-    _table(root)
+    if spec.region:
+        dress_hall(root)
+        _walls(root, spec.region)
+    else:
+        dress_room(root, FLOOR)
+        _table(root)
     for thing in spec.things:
         add_thing(root, thing)
     if spec.mover is not None:
@@ -81,8 +89,28 @@ def _table(root: mujoco.MjSpec) -> None:
     table.add_geom(
         name="table", type=_GEOM.mjGEOM_BOX, size=half, pos=centre, material="table", friction=[0.8, 0.005, 0.0001]
     )
-    floor = root.worldbody.add_geom(name="floor", type=_GEOM.mjGEOM_PLANE, size=[4, 4, 0.05], pos=[0, 0, FLOOR])
+    _floor(root, FLOOR)
+
+
+def _floor(root: mujoco.MjSpec, height: float) -> None:
+    floor = root.worldbody.add_geom(name="floor", type=_GEOM.mjGEOM_PLANE, size=[8, 8, 0.05], pos=[0, 0, height])
     floor.material = "floor"
+
+
+def _walls(root: mujoco.MjSpec, corners: Sequence[tuple[float, float]]) -> None:
+    """A floor, and a wall along every edge of the region, outside of it."""
+    _floor(root, 0.0)
+    thick, high = WALL
+    for index, (x, y) in enumerate(corners):
+        along = np.subtract(corners[(index + 1) % len(corners)], (x, y))
+        length = float(np.linalg.norm(along))
+        out = np.array([along[1], -along[0]]) / length
+        yaw = float(np.arctan2(along[1], along[0]))
+        middle = np.array([x, y]) + along / 2 + thick * out
+        root.worldbody.add_geom(
+            name=f"wall_{index}", type=_GEOM.mjGEOM_BOX, size=[length / 2 + 2 * thick, thick, high / 2],
+            pos=[*middle, high / 2], quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], rgba=[0.85, 0.85, 0.83, 0.35],
+        )  # fmt: skip
 
 
 def add_thing(root: mujoco.MjSpec, thing: Thing) -> None:
@@ -153,4 +181,4 @@ def add_mover(root: mujoco.MjSpec, mover: Mover) -> None:
         name=mover.name, type=_GEOM.mjGEOM_CAPSULE, size=[mover.radius, 0, 0], fromto=[*-reach, *reach],
         mass=mover.mass, rgba=colour_of("skin"), group=3, friction=[0.6, 0.005, 0.0001],
     )  # fmt: skip
-    forearm_look(body, mover)
+    (person_look if abs(mover.axis[2]) > 0.9 else forearm_look)(body, mover)

@@ -59,7 +59,11 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything needed to build one world again, bit for bit."""
+    """Everything needed to build one world again, bit for bit.
+
+    With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls around it;
+    without one it is a table.
+    """
 
     robot: str
     family: str
@@ -67,6 +71,7 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     things: tuple[Thing, ...]
     places: tuple[Place, ...]
     mover: Mover | None = None
+    region: tuple[tuple[float, float], ...] = ()
     schema_version: int = SCHEMA_VERSION
 
     def find(self, name: str) -> Thing:

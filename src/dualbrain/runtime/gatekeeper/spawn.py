@@ -68,7 +68,7 @@ def keep(plan: Plan) -> Punctuality:
     try:
         settings = Settings(plan.robot, plan.scene, plan.seed, plan.goal, plan.report)
         robot = RemoteRobot(settings, SIMULATED)
-        trace = Trace(body.n)
+        trace = Trace(body.n, body.width)
         if plan.recording:
             recorder = Recorder(Path(plan.recording), trace)
             recorder.episode(0.0, {"robot": plan.robot, "guard": True, "instruction": plan.instruction})
