@@ -111,7 +111,7 @@ class Place(Record, frozen=True):
 class Scene(Record, frozen=True):
     """What the robot perceives at `stamp` [s]. `version` rises whenever the set of names changes.
 
-    `region` is the part of the floor that a base may drive on: corners (x, y) [m] of a convex polygon, counter-clockwise.
+    `region` is the floor that a base may drive on: corners (x, y) [m] of a convex polygon, counter-clockwise.
     """
 
     robot: str

@@ -1,4 +1,4 @@
-"""The facts of a small differential-drive base, made for dualbrain: no maker's product, figures of an indoor platform."""
+"""The facts of a small differential-drive base, of dualbrain's own: figures of an indoor platform."""
 
 from __future__ import annotations
 

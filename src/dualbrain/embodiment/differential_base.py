@@ -72,6 +72,16 @@ def drive(q: Array, u: Array, dt: float) -> Array:
     return np.array([q[0] + chord * cos(q[2] + half), q[1] + chord * sin(q[2] + half), q[2] + w * dt])
 
 
+def driven_by(before: Array, after: Array) -> Array:
+    """What the controls (v, ω, …) moved between two configurations (n + 1,): along the heading, about z, the rest.
+
+    What a base slid sideways is not in it.
+    """
+    x, y, turn, *rest = (after - before).tolist()
+    heading = float(before[2]) + 0.5 * turn
+    return np.array([x * cos(heading) + y * sin(heading), turn, *rest])
+
+
 def _joint(name: str, quaternion: tuple[float, float, float, float], kind: str, speed: Bound, change: Bound) -> Joint:
     unit = "m" if kind == "prismatic" else "rad"
     lower, upper = (Bound(side * RANGE, unit, "never reached: the base frame moves along") for side in (-1.0, 1.0))

@@ -8,7 +8,18 @@ from __future__ import annotations
 
 from dualbrain.embodiment import panda
 from dualbrain.embodiment.body import Bound, Joint
-from dualbrain.embodiment.panda import COVER, GRIPPER, HOME, PERIOD, STATED_PAIRS, TOOL, TOOL_SPEED, links, mirrored, part
+from dualbrain.embodiment.panda import (
+    COVER,
+    GRIPPER,
+    HOME,
+    PERIOD,
+    STATED_PAIRS,
+    TOOL,
+    TOOL_SPEED,
+    links,
+    mirrored,
+    part,
+)
 
 __all__ = [
     "COVER", "GRIPPER", "HOME", "LICENCE", "PERIOD", "SOURCE", "STATED_PAIRS", "TOOL", "TOOL_SPEED", "joints", "links",
@@ -22,7 +33,7 @@ SOURCE: str = (
 LICENCE: str = panda.LICENCE
 FCI = "Franka FCI documentation, limits of the Franka Research 3, box of constant velocity limits"
 
-# lower [rad], upper [rad], velocity [rad/s]
+# of every joint: from, to [rad], and how fast [rad/s]
 LIMITS = (
     (-2.3093, 2.3093, 2.0),
     (-1.5133, 1.5133, 1.0),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
 
 Array = NDArray[np.float64]
+
+FLOOR = 10.0
+"""Coordinates beyond this [m] count as alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,8 @@ class PostureLimits:
         """The limits of `body`."""
         lower = tuple(joint.lower.value for joint in body.joints)
         upper = tuple(joint.upper.value for joint in body.joints)
+        if body.mobile:
+            lower, upper = (-FLOOR, -FLOOR, -pi, *lower[2:]), (FLOOR, FLOOR, pi, *upper[2:])
         return cls(body.name, lower, upper, body.gripper.opening.value)
 
     def normalised(self, posture: Posture) -> Array:
@@ -44,7 +50,7 @@ class PostureLimits:
         if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, posture.opening]).all():
             raise InvalidSetup("posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}")
         x = np.array([*posture.q, posture.opening])
-        lower, upper = np.array([*self.lower, 0.0]), np.array([*self.upper, self.opening])
+        lower, upper = np.array([*self.lower, 0.0]), np.array([*self.upper, self.opening or 1.0])
         return np.clip(2.0 * (x - lower) / (upper - lower) - 1.0, -1.0, 1.0)
 
     @property

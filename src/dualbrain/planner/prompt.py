@@ -11,6 +11,7 @@ import hashlib
 import json
 from typing import Any, TypedDict
 
+from dualbrain.planner import base_prompt
 from dualbrain.planner.examples import WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.untrusted import block, compact_json, sanitise
@@ -72,7 +73,7 @@ def render(request: PlanRequest) -> list[Message]:
     """The messages for `request`: system, exemplars as turns of question and answer, and the question."""
     names, skills = _split_names(request.skills_text)
     form = FORM.format(robot=request.robot, registry=request.registry_hash)
-    system = SYSTEM.format(robot=request.robot, skills=skills, form=form)
+    system = (base_prompt.SYSTEM if _drives(request) else SYSTEM).format(robot=request.robot, skills=skills, form=form)
     messages: list[Message] = [{"role": "system", "content": system}]
     for number, example in enumerate(_examples(request), start=1):
         contract_id = f"c-{number:04d}"
@@ -91,6 +92,7 @@ def header(request: PlanRequest) -> str:
 def template_hash() -> str:
     """First 16 hex digits of the SHA-256 of all fixed text of the prompt."""
     fixed = [TEMPLATE_VERSION, SYSTEM, FORM, [list(example) for example in WORKED_EXAMPLES]]
+    fixed += [base_prompt.SYSTEM, [list(example) for example in base_prompt.EXAMPLES]]
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -105,7 +107,15 @@ def _examples(request: PlanRequest) -> list[WorkedExample]:
     """What memory recalled, the best one last; built-in examples that fit the scene fill what memory leaves."""
     recalled = [_from_memory(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
     usable = [example for example in recalled if example is not None]
-    return [*fitting(request.scene, request.instruction, MAX_EXEMPLARS - len(usable)), *usable[::-1]]
+    left = MAX_EXEMPLARS - len(usable)
+    if _drives(request):
+        return [*base_prompt.EXAMPLES[-left:], *usable[::-1]] if left else usable[::-1]
+    return [*fitting(request.scene, request.instruction, left), *usable[::-1]]
+
+
+def _drives(request: PlanRequest) -> bool:
+    """Whether the registry that is asked about is a base's."""
+    return request.skills_text.startswith("drive_to(")
 
 
 def _from_memory(exemplar: Exemplar) -> WorkedExample | None:

@@ -10,8 +10,10 @@ from dualbrain.records import HalfSpace, Pose, Scene, SceneObject
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Senses
+from dualbrain.skills.vocabulary import limb_of
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.scene_spec import SceneSpec
 
@@ -25,11 +27,11 @@ def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
     return gate.check(data, names=scene_names(seen), principal=PLANNER, now=0.0)
 
 
-def limb_at_home(robot: str, scene: Scene) -> Limb:
-    """An arm at its home posture that sees `scene`."""
+def limb_at_home(robot: str, scene: Scene) -> Limb | Chassis:
+    """An arm at its home posture, or a base at its start, that sees `scene`."""
     body = load_body(robot)
     safety = SafetyFilter(body)
-    limb = Limb(body, safety)
+    limb = limb_of(body, safety)
     state = at_home(body)
     limb.sense(Senses(state, scene, 0.0, safety.tool(state.q)))
     return limb
@@ -45,4 +47,5 @@ def as_specified(spec: SceneSpec) -> Scene:
         )
         for thing in spec.things
     )  # fmt: skip
-    return Scene(spec.robot, 0.0, 1, (table, *things), spec.places)
+    support = () if spec.region else (table,)
+    return Scene(spec.robot, 0.0, 1, (*support, *things), spec.places, spec.region)

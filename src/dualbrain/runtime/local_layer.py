@@ -22,6 +22,7 @@ from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.scene_watch import SceneWatch, believed
 from dualbrain.runtime.steady import Steady
+from dualbrain.safety.barriers.traversable import traversable
 from dualbrain.safety.checks import CHECKS
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.filter import Filtered, SafetyFilter
@@ -31,9 +32,8 @@ from dualbrain.safety.order import FREE, Cause, Order, Rung
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.spine import Spine
 from dualbrain.safety.timing import SIMULATED, Timing
-from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Holding, Nominal, Senses, Status, Touch
-from dualbrain.skills.vocabulary import Running
+from dualbrain.skills.vocabulary import Running, limb_of
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class LocalLayer:
         self._look_ticks, self._watch_ticks = (
             max(1, round(every / body.period)) for every in (config.look_every, config.watch_every)
         )
-        self.limb = Limb(body, safety)
+        self.limb = limb_of(body, safety)
         self.interrupted, self._asked, self._clock = interrupted, asked, clock
         self.spine = Spine(safety, timing=timing)
         self._on = True
@@ -385,10 +385,16 @@ class LocalLayer:
         """Hand the perceived scene to the filter; what this action is about is known to φ."""
         held = self._holding.name if self._holding else None
         supports = {thing.name for thing in self.scene.objects if thing.role == "support"}
-        known = supports | {name for name in self._roles.values() if name}
+        known = supports | {name for name in self._roles.values() if name} | self._on_map()
         obstacles, stamp = from_scene(self.scene, known=known, held=held), believed(self.scene)
+        if self.scene.region:
+            obstacles = (*obstacles, *traversable("the floor", self.scene.region))
         self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
         self.safety.observe(obstacles, stamp)
+
+    def _on_map(self) -> set[str]:
+        """A base knows its room: what stands there for good is known to φ."""
+        return {thing.name for thing in self.scene.objects if self.body.mobile and thing.role == "obstacle"}
 
 
 def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:

@@ -33,8 +33,8 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.trace import Trace
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
 from dualbrain.world.remembered import remembered_scene
 
 SPREAD = 0.003
@@ -107,11 +107,17 @@ def verdict(r: int, Delta: float, done: list[Try]) -> tuple[str, bool]:
 def _once(stored: _Stored, robot: str, rng: np.random.Generator) -> Try:
     body = load_body(robot)
     spec = remembered_scene(stored.episode.scene, rng, spread=SPREAD)
-    plant = Plant(spec, body, visuals=False)
+    plant = open_plant(spec, body, visuals=False)
     plant.place_arm(np.asarray(stored.state.q), stored.state.opening)
     world = SimulatedWorld(plant, Perception(spec, Noise(), rng))
     layer = LocalLayer(
-        body, plant, world, SafetyFilter(body), FlightLog(Trace(body.n, body.width)), LayerConfig(), phase_changed=world.allow
+        body,
+        plant,
+        world,
+        SafetyFilter(body),
+        FlightLog(Trace(body.n, body.width)),
+        LayerConfig(),
+        phase_changed=world.allow,
     )
     layer.hold(0.5)
     accepted = _accepted(layer, body, stored.episode.contract)

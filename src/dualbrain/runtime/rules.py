@@ -10,6 +10,8 @@ import numpy as np
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
+from dualbrain.skills.chassis import Chassis
+from dualbrain.skills.floor_path import clearance
 from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
 from dualbrain.skills.grasp_pose import grasp_goal, station
 from dualbrain.skills.limb import Limb
@@ -24,8 +26,10 @@ FINGER_ROOM = 0.010
 Rule = Callable[[Contract], Rejected | None]
 
 
-def scene_rules(scene: Scene, limb: Limb) -> tuple[Rule, ...]:
-    """The rules that hold for `scene` and the arm as it stands: hand busy or empty, opening, reach."""
+def scene_rules(scene: Scene, limb: Limb | Chassis) -> tuple[Rule, ...]:
+    """The rules that hold for `scene` and the body as it stands: hand busy or empty, opening, reach; the floor."""
+    if isinstance(limb, Chassis):
+        return (_decline_alone, lambda contract: _on_the_map(contract, scene, limb))
     return (
         _decline_alone,
         lambda contract: _hand_order(contract, limb),
@@ -43,6 +47,18 @@ def _decline_alone(contract: Contract) -> Rejected | None:
             ["decline"],
             "decline stands alone: it refuses the whole instruction",
         )
+    return None
+
+
+def _on_the_map(contract: Contract, scene: Scene, chassis: Chassis) -> Rejected | None:
+    """A point to drive to lies on the floor that may be driven on, and the base has room there."""
+    for index, action in enumerate(contract.action_sequence):
+        if action.skill == "drive_to_pose":
+            spot = np.array([float(action.params["x"]), float(action.params["y"])])
+            if float(clearance(scene, spot)) < chassis.radius:
+                hint = "the base has no room there: something stands there, or it is off the floor"
+                pointer = f"/action_sequence/{index}/params"
+                return Rejected("envelope", pointer, spot.tolist(), "a free point of the floor", hint)
     return None
 
 

@@ -46,9 +46,9 @@ from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.world.catalogue import open_scene
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.pictures import Camera
-from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import save_scene
 from dualbrain.world.task import goal_of
 
@@ -156,7 +156,7 @@ class Session:
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),), plasticity=rule))
         if self.library is not None and config.map:
             self.spec = with_places(self.spec, *open_map(self.library, config.map))
-        self.plant = Plant(self.spec, self.body, visuals=config.visuals)
+        self.plant = open_plant(self.spec, self.body, visuals=config.visuals)
         perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
         self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.times.pace)
         self.interrupted: tuple[InterruptedRun, ...] = ()

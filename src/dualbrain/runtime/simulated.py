@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Judgement, Scene
+from dualbrain.world.arrival import Arrival, At
 from dualbrain.world.monitor import Monitor
 from dualbrain.world.perception import Perception
 from dualbrain.world.plant import Plant
@@ -30,13 +31,13 @@ class SimulatedWorld:
         plant: Plant,
         perception: Perception,
         *,
-        goal: Goal | None = None,
+        goal: Goal | At | None = None,
         pace: Callable[[float], None] | None = None,
     ) -> None:
         """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people."""
         self.plant, self.perception = plant, perception
         self.monitor = Monitor(plant)
-        self._referee = Referee(plant, goal) if goal else None
+        self._referee = referee(plant, goal) if goal else None
         self._pace = pace
         self._ticks = 0
 
@@ -61,7 +62,7 @@ class SimulatedWorld:
         """A contract was accepted: judge its own goal unless one was stated beforehand."""
         goal = own_goal(contract)
         if self._referee is None and goal is not None:
-            self._referee = Referee(self.plant, goal)
+            self._referee = referee(self.plant, goal)
 
     def allow(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell the monitor which contacts the running phase is about."""
@@ -78,13 +79,20 @@ class SimulatedWorld:
         return Judgement(success, progress, self.monitor.violations())
 
 
-def own_goal(contract: Contract) -> Goal | None:
-    """The last thing that the contract grasps and then places, as a goal."""
+def referee(plant: Plant, goal: Goal | At) -> Referee | Arrival:
+    """Who judges `goal`."""
+    return Arrival(plant, goal) if isinstance(goal, At) else Referee(plant, goal)
+
+
+def own_goal(contract: Contract) -> Goal | At | None:
+    """The last thing that the contract grasps and then places, or the last place that it drives to, as a goal."""
     thing: str | None = None
-    goal: Goal | None = None
+    goal: Goal | At | None = None
     for action in contract.action_sequence:
         if action.skill == "grasp":
             thing = str(action.params["object"])
         elif action.skill == "place" and thing is not None:
             goal = Goal(thing, str(action.params["destination"]))
+        elif action.skill == "drive_to":
+            goal = At(str(action.params["place"]))
     return goal

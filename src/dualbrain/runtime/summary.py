@@ -31,6 +31,8 @@ OVERHEAD = 0.25
 
 def summarise(scene: Scene, holding: str | None = None) -> str:
     """What the planner is told of `scene`: one line a thing, a path, a person; symbols only."""
+    if scene.region:
+        return _room(scene)
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
     lines += [_object_line(scene, thing) for thing in scene.objects if thing.role == "object"]
     lines += [f"{thing.name}: container" for thing in scene.objects if thing.role == "container"]
@@ -38,6 +40,13 @@ def summarise(scene: Scene, holding: str | None = None) -> str:
     if scene.places:
         lines.append("places: " + ", ".join(place.name for place in scene.places))
     return "\n".join(lines)
+
+
+def _room(scene: Scene) -> str:
+    """A room as a base is told of it: where it can go, what stands about, and people."""
+    standing = ", ".join(thing.name for thing in scene.objects if thing.role in ("object", "obstacle", "container"))
+    places = ", ".join(place.name for place in scene.places)
+    return f"robot {scene.robot}\nplaces: {places}\nstanding about: {standing or 'nothing'}\nperson: {_person(scene)}"
 
 
 def _object_line(scene: Scene, thing: SceneObject) -> str:

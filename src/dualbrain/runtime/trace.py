@@ -106,7 +106,17 @@ def columns(n: int, width: int | None = None) -> dict[str, slice]:
     `order` (rung of the ladder) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking in the filter's
     stead. Then the `action` index and `phase` code.
     """
-    widths = {"t": 1, "stamp": 1, "sequence": 1, "q": width or n, "v": n, "opening": 1, "forces": 2, "drive": 1, "u_nom": n}
+    widths = {
+        "t": 1,
+        "stamp": 1,
+        "sequence": 1,
+        "q": width or n,
+        "v": n,
+        "opening": 1,
+        "forces": 2,
+        "drive": 1,
+        "u_nom": n,
+    }
     widths |= {"u": n, "delta": 1, "delta_rows": 1, "delta_box": 1, "h_min": 1, "status": 1, "certified": 1}
     widths |= {"iterations": 1, "n_rows": 1, "delta_supervisor": 1, "order": 1, "touched": 1, "action": 1, "phase": 1}
     ends = np.cumsum(list(widths.values())).tolist()

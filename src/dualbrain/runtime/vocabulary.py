@@ -6,7 +6,7 @@ from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.embodiment.body import load_body
 from dualbrain.records import Scene
-from dualbrain.skills.vocabulary import arm_registry
+from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.scene_spec import SceneSpec
 
 PLANNER = "planner"
@@ -15,7 +15,7 @@ PLANNER = "planner"
 
 def vocabulary(robot: str) -> Registry:
     """The registry of skills of `robot`; raises `UnknownName` with the known robots."""
-    return arm_registry(load_body(robot))
+    return registry_of(load_body(robot))
 
 
 def grants(registry: Registry) -> dict[str, frozenset[str]]:

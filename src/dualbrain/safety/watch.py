@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.differential_base import driven_by
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.result import Filtered, Reason, Status
@@ -54,8 +55,11 @@ class Watch:
         """Nothing has been seen yet."""
         self.timing, self.bounds = timing, bounds or Bounds()
         joints = body.joints
-        self._low = np.array([joint.lower.value for joint in joints]) - BEYOND
-        self._high = np.array([joint.upper.value for joint in joints]) + BEYOND
+        self._bolted = slice(3 if body.mobile else 0, None)
+        """Where the joints with a range lie in q; a base may be anywhere."""
+        ranged = joints[2:] if body.mobile else joints
+        self._low = np.array([joint.lower.value for joint in ranged]) - BEYOND
+        self._high = np.array([joint.upper.value for joint in ranged]) + BEYOND
         self._fastest = np.array([joint.velocity.value for joint in joints])
         self._lag = max(body.tracking.lag, timing.period)
         self._n = body.n
@@ -95,7 +99,8 @@ class Watch:
         """Finite, in range, no jump; then it is compared with velocities and commands."""
         q, v = state.q, state.v
         numbers = np.isfinite(q).all() and np.isfinite(v).all() and isfinite(state.opening) and isfinite(state.stamp)
-        if not numbers or (q < self._low).any() or (q > self._high).any():
+        joints = q[self._bolted]
+        if not numbers or (joints < self._low).any() or (joints > self._high).any():
             return C.STATE_IMPLAUSIBLE
         last, self._good = self._good, state
         if last is None:
@@ -106,7 +111,7 @@ class Watch:
         if dt > self.timing.blind:  # nothing can be compared across such a gap
             self.start()
             return 0
-        moved = q - last.q
+        moved = driven_by(last.q, q) if len(q) > self._n else q - last.q
         if (np.abs(moved) > self.bounds.speed * self._fastest * dt + self.bounds.jump).any():
             return C.STATE_IMPLAUSIBLE
         fast = C.OVERSPEED if (np.abs(v) > self.bounds.speed * self._fastest).any() else 0

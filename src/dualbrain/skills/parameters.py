@@ -50,3 +50,26 @@ def opening(body: Body) -> Number:
         "opening", "m", 0.02, 2.0 * limit.value, "narrower than any graspable thing", f"twice {limit.provenance}",
         "distance between the fingers before the grasp",
     )  # fmt: skip
+
+
+def max_speed(body: Body) -> Number:
+    """Speed of a base on its way [m/s]."""
+    limit = body.joints[0].velocity
+    return Number(
+        "max_speed", "m/s", 0.1, limit.value, "slower wastes time without safety", limit.provenance, "speed on the way"
+    )
+
+
+def max_turn_rate(body: Body) -> Number:
+    """Turn rate of a base [rad/s]."""
+    limit = body.joints[1].velocity
+    return Number(
+        "max_turn_rate", "rad/s", 0.2, limit.value, "slower wastes time without safety", limit.provenance,
+        "turn rate on the way",
+    )  # fmt: skip
+
+
+def heading() -> Number:
+    """Heading on the map [rad]."""
+    turn = "half a turn either way"
+    return Number("heading", "rad", -3.1416, 3.1416, turn, turn, "0 looks along the map's x, counter-clockwise")

@@ -1,4 +1,4 @@
-"""The skills of an arm: the registry they form, and how an action becomes a running skill."""
+"""The skills of a body: the registry they form, and how an action becomes a running skill."""
 
 from __future__ import annotations
 
@@ -8,9 +8,23 @@ from types import ModuleType
 from dualbrain.contracts.contract import Value
 from dualbrain.contracts.registry import Registry
 from dualbrain.embodiment.body import Body
-from dualbrain.skills import decline, grasp, hold, home, move_to, place, push, release
+from dualbrain.skills import (
+    decline,
+    drive_to,
+    drive_to_pose,
+    grasp,
+    hold,
+    home,
+    move_to,
+    place,
+    push,
+    release,
+    stop,
+    turn_to,
+)  # fmt: skip
+from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.limb import Limb
-from dualbrain.skills.skill import Ending, Nominal, Senses, Story
+from dualbrain.skills.skill import Ending, Motion, Nominal, Senses, Story
 
 ARM: Mapping[str, ModuleType] = {
     "move_to": move_to,
@@ -23,6 +37,31 @@ ARM: Mapping[str, ModuleType] = {
     "decline": decline,
 }
 """One module a skill, each with `spec(body)` and `story(limb, **params)`; to add one, write it and name it here."""
+BASE: Mapping[str, ModuleType] = {
+    "drive_to": drive_to,
+    "drive_to_pose": drive_to_pose,
+    "turn_to": turn_to,
+    "stop": stop,
+    "decline": decline,
+}
+"""The same for a base, whose stories are told with a chassis."""
+
+
+def skills_of(body: Body) -> Mapping[str, ModuleType]:
+    """The skills that suit `body`."""
+    return BASE if body.mobile else ARM
+
+
+def limb_of(body: Body, motion: Motion) -> Limb | Chassis:
+    """What the stories of `body` are told with."""
+    return Chassis(body, motion) if body.mobile else Limb(body, motion)
+
+
+def registry_of(body: Body) -> Registry:
+    """The vocabulary P of `body`, bounded by it (paper 3.3)."""
+    if not body.mobile:
+        return arm_registry(body)
+    return Registry(body.name, tuple(module.spec(body) for module in BASE.values()))
 
 
 GRIPPING = ("grasp", "place", "release")
@@ -38,10 +77,10 @@ def arm_registry(body: Body) -> Registry:
 class Running:
     """A skill under way: the map φ of paper 4.2."""
 
-    def __init__(self, limb: Limb, skill: str, params: Mapping[str, Value]) -> None:
+    def __init__(self, limb: Limb | Chassis, skill: str, params: Mapping[str, Value]) -> None:
         """Prepare `skill` with its checked parameters; nothing moves before the first `nominal`."""
         self.limb = limb
-        self._story: Story = ARM[skill].story(limb, **params)
+        self._story: Story = skills_of(limb.body)[skill].story(limb, **params)
 
     def nominal(self, senses: Senses) -> Nominal | Ending:
         """The next tick's intent, or how the skill ended."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.world.rooms import ROOMS, make_room
 from dualbrain.world.scene_spec import SceneSpec, load_scene
 from dualbrain.world.scenes import ALL_FAMILIES, make_scene
 
@@ -17,19 +19,30 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
 
     Raises `UnknownName`, or `InvalidSetup` where a file is no scene or one of another robot.
     """
+    families = tuple(ROOMS if mobile(robot) else ALL_FAMILIES)
+    hazards = tuple(ROOMS) if mobile(robot) else HAZARDS
     if choice.isdecimal():
-        return make_scene(HAZARDS[int(choice) % len(HAZARDS)], int(choice), robot)
+        return _make(hazards[int(choice) % len(hazards)], int(choice), robot)
     family, _, seed = choice.partition(":")
-    if family in ALL_FAMILIES and (seed.isdecimal() or not seed):
-        return make_scene(family, int(seed or 0), robot)
+    if family in families and (seed.isdecimal() or not seed):
+        return _make(family, int(seed or 0), robot)
     path = Path(choice)
     if path.suffix == ".json" or path.exists():
         return _of(robot, load_scene(path), path)
     if choice.replace(":", "").replace("_", "").isalnum():
         owner = "the catalogue (a number or a scene file also works)"
-        raise UnknownName("scene", family, tuple(ALL_FAMILIES), owner=owner)
-    allowed = f"a number, FAMILY:SEED with one of {', '.join(ALL_FAMILIES)}, or a scene file (.json)"
+        raise UnknownName("scene", family, families, owner=owner)
+    allowed = f"a number, FAMILY:SEED with one of {', '.join(families)}, or a scene file (.json)"
     raise InvalidSetup("scene", got=choice, allowed=allowed)
+
+
+def mobile(robot: str) -> bool:
+    """Whether `robot` drives, so that its scenes are rooms."""
+    return load_body(robot).mobile
+
+
+def _make(family: str, seed: int, robot: str) -> SceneSpec:
+    return (make_room if mobile(robot) else make_scene)(family, seed, robot)
 
 
 def _of(robot: str, spec: SceneSpec, path: Path) -> SceneSpec:

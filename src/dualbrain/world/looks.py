@@ -72,6 +72,8 @@ def _materials_and_light(root: mujoco.MjSpec) -> None:
     root.worldbody.add_light(
         name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp
     )
+
+
 def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
     """A turned bowl: a profile swept about z, drawn over the staves."""
     outer, inner, high, base = bowl.radius + 0.002, bowl.radius - bowl.wall - 0.002, bowl.height, 0.75 * bowl.radius
@@ -123,7 +125,11 @@ def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
 
     def rod(start: float, end: float, radius: float, colour: str, y: float = 0.0) -> None:
         body.add_geom(
-            type=_GEOM.mjGEOM_CAPSULE, size=[radius, 0, 0], fromto=[0, y, start, 0, y, end], rgba=colour_of(colour), **LOOK
+            type=_GEOM.mjGEOM_CAPSULE,
+            size=[radius, 0, 0],
+            fromto=[0, y, start, 0, y, end],
+            rgba=colour_of(colour),
+            **LOOK,
         )
 
     rod(half, half + 0.05, 0.4 * r, "skin")

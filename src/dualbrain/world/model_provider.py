@@ -3,8 +3,8 @@
 Nothing is downloaded. Whatever the source, the result of an arm of n joints obeys one convention: bodies
 `link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
 finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
-every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of its
-name, and the site `tcp`.
+every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of
+its name, and the site `tcp`.
 """
 
 # MuJoCo ships no type stubs:

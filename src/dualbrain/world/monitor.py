@@ -67,6 +67,9 @@ class Monitor:
         self._tool = int(plant.model.site(f"{PREFIX}tcp").id)
         q, v = plant.arm_slices
         self._q, self._v = plant.data.qpos[q], plant.data.qvel[v]  # views: they follow the simulation
+        self._names = tuple(f"joint{index + 1}" for index in range(self._n))
+        if plant.body.mobile:
+            self._q, self._names = np.zeros(self._n), tuple(joint.name for joint in plant.body.joints)
         self._stride = np.array([plant.model.ngeom, 1])
         self._open: dict[tuple[str, tuple[str, ...]], _Breach] = {}
         self._closed: list[_Breach] = []
@@ -138,16 +141,16 @@ class Monitor:
     def _joints(self, now: float) -> None:
         state, n = self._state, self._n
         np.subtract(self._q, self._middle, out=state[:n])
-        state[n:] = self._v
+        state[n:] = self._plant.speed() if self._plant.body.mobile else self._v
         np.abs(state, out=state)
         over = state > self._bounds
         if not over.any():
             return
         for index in over.nonzero()[0].tolist():
             if index < n:
-                self._breach("joint_limit", (f"joint{index + 1}",), float(state[index] - self._half[index]), now)
+                self._breach("joint_limit", (self._names[index],), float(state[index] - self._half[index]), now)
             else:
-                self._breach("joint_velocity", (f"joint{index - n + 1}",), float(state[index]), now)
+                self._breach("joint_velocity", (self._names[index - n],), float(state[index]), now)
 
     def _slow(self, now: float) -> None:
         motion = self._motion

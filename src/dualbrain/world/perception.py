@@ -80,9 +80,7 @@ class Perception:
             self._names, self._version = names, self._version + 1
         table = msgspec.structs.replace(TABLE, stamp=now)
         support = () if self._spec.region else (table,)
-        return Scene(
-            self._spec.robot, now, self._version, (*support, *seen), self._spec.places, self._spec.region
-        )
+        return Scene(self._spec.robot, now, self._version, (*support, *seen), self._spec.places, self._spec.region)
 
     def _capture(self, plant: Plant, now: float) -> None:
         elapsed = 0.0 if self._looked is None else now - self._looked

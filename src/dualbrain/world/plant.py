@@ -61,14 +61,19 @@ class Plant:
         self.data = mujoco.MjData(self.model)
         self.steps = round(body.period / PERIOD)
         """Steps of physics in one control period."""
+        self._u = np.zeros(body.n)
+        self._path = path_of(spec.mover) if spec.mover is not None else None
+        self._sequence, self._enabled = 0, True
+        self._arrange(drive, load)
+
+    def _arrange(self, drive: DriveKind, load: float) -> None:
+        """Find the robot's parts in the model, open the fingers and put the arm at home."""
         self._index()
         self._load = self.model.joint(LOAD).qposadr[0] if load > 0.0 else None
         self.drive = make_drive(drive, self.model, self.data)
-        self._u = np.zeros(body.n)
-        self._path = path_of(spec.mover) if spec.mover is not None else None
-        self._sequence, self._enabled, self._wanted = 0, True, float(body.gripper.opening.value)
-        self._set_force(float(body.gripper.force_min.value))
-        self.place_arm(np.array(body.home))
+        self._wanted = float(self.body.gripper.opening.value)
+        self._set_force(float(self.body.gripper.force_min.value))
+        self.place_arm(np.array(self.body.home))
 
     # --- the robot protocol -------------------------------------------------------------------------------------
 
@@ -134,11 +139,7 @@ class Plant:
         target = self._finger + (limit if step > limit else -limit if step < -limit else step)
         self._finger = min(max(target, opening - self._lead), opening + self._lead)
         data.ctrl[self._grip] = self._finger
-        if self._path is not None:
-            distance, rate = self._path.at(data.time)
-            data.ctrl[self._mover_drives] = (
-                distance + rate * DAMPING / STIFFNESS - self._mover_zero
-            ) * self._path.direction
+        self._move_mover()
         mujoco.mj_step2(self.model, data)
 
     @property
@@ -174,6 +175,10 @@ class Plant:
     def arm_slices(self) -> tuple[slice, slice]:
         """Where the arm's joints lie in MuJoCo's qpos and qvel."""
         return self._arm, self._dof
+
+    def speed(self) -> Array:
+        """True velocity (n,) in the body's own terms [rad/s; of a base (v, ω)]."""
+        return self.data.qvel[self._dof].copy()
 
     def tool_pose(self) -> tuple[Array, Array]:
         """True position (3,) and rotation (3, 3) of the tool frame."""
@@ -215,10 +220,19 @@ class Plant:
         self._touch = slice(touch[0], touch[1] + 1)
         links = [*(f"link{index + 1}" for index in range(n)), "hand", "left_finger", "right_finger"]
         self._moving = np.array([int(model.body(f"{PREFIX}{link}").id) for link in links])
+        self._index_mover()
+
+    def _index_mover(self) -> None:
         if self.spec.mover is not None:
-            ids = [int(model.actuator(f"{self.spec.mover.name}_{axis}").id) for axis in "xyz"]
+            ids = [int(self.model.actuator(f"{self.spec.mover.name}_{axis}").id) for axis in "xyz"]
             self._mover_drives = slice(ids[0], ids[-1] + 1)
             self._mover_zero, _ = path_of(self.spec.mover).at(0.0)
+
+    def _move_mover(self) -> None:
+        if self._path is not None:
+            distance, rate = self._path.at(self.data.time)
+            ahead = distance + rate * DAMPING / STIFFNESS - self._mover_zero
+            self.data.ctrl[self._mover_drives] = ahead * self._path.direction
 
     def _forget(self) -> None:
         """No velocity is wanted, no torque remembered."""
@@ -245,6 +259,11 @@ class Plant:
     def _known(self, name: str) -> None:
         if name not in self.names:
             raise UnknownName("thing", name, self.names, owner=f"scene {self.spec.family}")
+
+
+def pose_of(position: Array, quaternion: Array) -> Pose:
+    """A pose from MuJoCo's arrays."""
+    return Pose(_vector(position), _quaternion(quaternion))
 
 
 def _vector(values: Array) -> tuple[float, float, float]:

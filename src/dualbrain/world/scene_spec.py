@@ -61,7 +61,7 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything needed to build one world again, bit for bit.
 
-    With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls around it;
+    With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls;
     without one it is a table.
     """
 

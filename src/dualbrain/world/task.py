@@ -13,6 +13,7 @@ import numpy as np
 
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.records import Bowl, Cylinder, Vector
+from dualbrain.world.arrival import At
 from dualbrain.world.contact_rules import ContactRules
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec, Thing
@@ -32,12 +33,14 @@ class Goal(msgspec.Struct, frozen=True):
     upright: bool = False
 
 
-def goal_of(words: str, spec: SceneSpec) -> Goal:
-    """The goal that "put X in Y" states; underscores or spaces in names.
+def goal_of(words: str, spec: SceneSpec) -> Goal | At:
+    """The goal that "put X in Y", or in a room "go to Y", states; underscores or spaces in names.
 
     Raises `InvalidSetup` for another sentence and `UnknownName` for names that the scene does not hold. A tall or
     fragile thing that goes onto a place must stay upright.
     """
+    if spec.region:
+        return _place_of(words, spec)
     match = re.fullmatch(
         r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?", words.strip().lower()
     )
@@ -56,6 +59,16 @@ def goal_of(words: str, spec: SceneSpec) -> Goal:
     what = spec.find(thing)
     to_place = destination in {place.name for place in spec.places}
     return Goal(thing, destination, upright=to_place and isinstance(what.shape, Cylinder))
+
+
+def _place_of(words: str, spec: SceneSpec) -> At:
+    match = re.fullmatch(r"(?:go|drive|bring yourself) to (?:the )?(.+?)\.?", words.strip().lower())
+    if match is None:
+        raise InvalidSetup("goal", got=words, allowed='"go to PLACE" (also drive to, bring yourself to)')
+    place, known = match.group(1).strip().replace(" ", "_"), tuple(place.name for place in spec.places)
+    if place not in known:
+        raise UnknownName("place", place, known, owner=f"scene {spec.family}")
+    return At(place)
 
 
 class Referee:

@@ -23,8 +23,8 @@ from dualbrain.runtime.gatekeeper.capability import Capability, granted
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.vocabulary import scene_names, vocabulary
 from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Holding, Senses
+from dualbrain.skills.vocabulary import limb_of
 
 
 class Case(msgspec.Struct, frozen=True):
@@ -55,7 +55,7 @@ class Clerk:
         """Open the gate; the thread ends with the process."""
         self.registry = registry = vocabulary(body.name)
         self._safety = SafetyFilter(body)
-        self._limb = Limb(body, self._safety)
+        self._limb = limb_of(body, self._safety)
         self._capabilities = dict(capabilities)
         self._gate = Gate(registry, granted(capabilities), ())
         self._cases: Queue[Case | None] = Queue(2)

@@ -23,8 +23,8 @@ from dualbrain.embodiment.robot import Command
 from dualbrain.records import Judgement
 from dualbrain.runtime.gatekeeper import bus
 from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
 from dualbrain.world.task import goal_of
 
@@ -69,7 +69,7 @@ class RobotProcess:
     def __init__(self, settings: Settings, link: socket.socket) -> None:
         """Build the world; nothing moves yet."""
         body, spec = load_body(settings.robot), settings.scene
-        self.plant = Plant(spec, body)
+        self.plant = open_plant(spec, body)
         perception = Perception(spec, Noise(), np.random.default_rng([settings.seed, 1]))
         self.world = SimulatedWorld(
             self.plant, perception, goal=goal_of(settings.goal, spec) if settings.goal else None

@@ -1,0 +1,212 @@
+"""The chassis: what every skill can do with a differential base, each as a short story of nominal controls (v, ω)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from itertools import pairwise
+from math import atan2, cos, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.contracts.skill_spec import SkillSpec
+from dualbrain.embodiment.body import Body
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import SceneObject
+from dualbrain.skills.floor_path import floor_path
+from dualbrain.skills.person import may_be_over
+from dualbrain.skills.progress import Progress
+from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status
+
+Array = NDArray[np.float64]
+Part = Generator[Nominal, None, Ending | None]
+
+AHEAD = 0.45
+"""How far ahead on its path the base steers [m]."""
+TURN_FIRST = 0.7
+"""A path that lies more than this off the heading is turned to before it is driven [rad]."""
+STEER = 2.5
+"""Turn rate asked for per error of heading [1/s]."""
+ARRIVED, ALIGNED = 0.06, 0.02
+"""A point is reached [m], a heading taken [rad] within these."""
+BRAKE_SHARE = 0.5
+"""Share of the acceleration limits with which φ comes to rest."""
+PATIENCE = 6.0
+"""No progress for this long [s] ends a drive; people are waited for apart."""
+PERSON_PATIENCE = 30.0
+"""How long [s] a skill waits for a person before it says so and fails."""
+NEAR_PERSON = 0.85
+"""Whoever will come this near to where the base is about to be is let pass [m]."""
+LOOK_AHEAD = 3.0
+"""How far ahead people are believed to go on as they do [s]."""
+AGAIN = 1.0
+"""A new way is looked for this often while driving [s]."""
+
+
+class Chassis:
+    """One base, as the skills move it. State: φ's memory and the current senses."""
+
+    def __init__(self, body: Body, motion: Motion) -> None:
+        """Bind to a body and to what the local layer lends; call `sense` before every step of a story."""
+        self.body = body
+        self.holding: Holding | None = None
+        self.radius = max(float(np.hypot(*ball.centre[:2])) + ball.radius for ball in body.spheres)
+        """Of the circle round the footprint [m]."""
+        self._motion = motion
+        self._brake = BRAKE_SHARE * np.array([joint.acceleration.value for joint in body.joints[:2]])
+        self._u_nom = self._before = np.zeros(body.n)
+        self._senses: Senses | None = None
+
+    # --- senses -------------------------------------------------------------------------------------------------
+
+    def sense(self, senses: Senses) -> None:
+        """Take in this tick's senses."""
+        self._senses = senses
+
+    @property
+    def senses(self) -> Senses:
+        """This tick's senses."""
+        if self._senses is None:
+            raise InvalidSetup(
+                "a chassis without senses", got=None, allowed="one call of `sense` before the first tick"
+            )
+        return self._senses
+
+    @property
+    def pose(self) -> tuple[Array, float]:
+        """Position (2,) [m] and heading [rad]."""
+        q = self.senses.state.q
+        return q[:2].copy(), float(q[2])
+
+    def see(self, name: str) -> SceneObject:
+        """The thing called `name` as perceived now."""
+        return self.senses.scene.find(name)
+
+    def begin(self, spec: SkillSpec, **others: str | None) -> None:
+        """Start a skill: nothing may be touched by a base."""
+        del spec, others
+
+    # --- parts of a story ---------------------------------------------------------------------------------------
+
+    def drive(self, goal: Array, speed: float, rate: float) -> Part:
+        """Drive to `goal` (2,) [m] at up to `speed` [m/s] and `rate` [rad/s]; wait for people who cross."""
+        here, _ = self.pose
+        path, looked = floor_path(self.senses.scene, here, goal, self.radius), self.senses.now
+        if path is None:
+            return Ending(Status.FAILED, "no way leads there")
+        progress = self._progress(path, speed)
+        while True:
+            here, heading = self.pose
+            away = float(np.linalg.norm(goal - here))
+            if away < ARRIVED:
+                return (yield from self.come_to_rest("drive"))
+            if self._person_ahead(path, here):
+                if why := (yield from self._wait(path)):
+                    return why
+                progress = self._progress(path, speed)
+            if self.senses.now - looked > AGAIN:
+                path, looked = floor_path(self.senses.scene, here, goal, self.radius) or path, self.senses.now
+            if why := progress.stuck(self.senses.patience, away + 0.05 * abs(_turn(heading, path, here))):
+                return Ending(Status.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal")
+            yield self._nominal(self._steer(path, here, heading, away, speed, rate), "drive")
+
+    def turn(self, heading: float, rate: float) -> Part:
+        """Turn on the spot to `heading` [rad] at up to `rate` [rad/s], the shorter way."""
+        progress = Progress(self.senses.patience, limit=10.0 + 8.0 / rate, patience=PATIENCE)
+        while True:
+            error = wrapped(heading - self.pose[1])
+            if abs(error) < ALIGNED and abs(float(self.senses.state.v[1])) < 0.05:
+                return (yield from self.come_to_rest("turn"))
+            if why := progress.stuck(self.senses.patience, 0.2 * abs(error)):
+                return Ending(Status.TAKEN_OVER, f"turn: {why}, {abs(error):.2f} rad from the heading")
+            fast = min(rate, STEER * abs(error), sqrt(2.0 * float(self._brake[1]) * abs(error)))
+            yield self._nominal(np.array([0.0, fast if error > 0.0 else -fast]), "turn")
+
+    def come_to_rest(self, phase: str) -> Part:
+        """Brake until nothing moves."""
+        end = self.senses.now + 3.0
+        while self.senses.now < end and float(np.max(np.abs(self.senses.state.v))) > 5e-3:
+            yield self.rest(phase)
+        return None
+
+    # --- what the local layer calls -----------------------------------------------------------------------------
+
+    def rest(self, phase: str) -> Nominal:
+        """One tick of standing still."""
+        return self._nominal(np.zeros(self.body.n), phase)
+
+    def reconsider(self, u: Array) -> Array:
+        """u_nom (n,) once more, because what φ knows changed since this tick's was made."""
+        self._u_nom = self._before
+        return self._project(u)
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _steer(
+        self, path: Sequence[Array], here: Array, heading: float, away: float, speed: float, rate: float
+    ) -> Array:
+        """Pure pursuit: toward the point `AHEAD` on the path; turn first when it lies aside."""
+        error = _turn(heading, path, here)
+        turn = float(np.clip(STEER * error, -rate, rate))
+        if abs(error) > TURN_FIRST:
+            return np.array([0.0, turn])
+        fast = min(speed, sqrt(2.0 * float(self._brake[0]) * away)) * max(0.0, cos(error)) ** 2
+        return np.array([fast, turn])
+
+    def _progress(self, path: Sequence[Array], speed: float) -> Progress:
+        length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(path))
+        return Progress(self.senses.patience, limit=20.0 + 4.0 * length / speed, patience=PATIENCE)
+
+    def _person_ahead(self, path: Sequence[Array], here: Array) -> bool:
+        """Whether somebody will be near where the base is about to be."""
+        scene, now = self.senses.scene, self.senses.now
+        if not any(thing.role == "person" for thing in scene.objects):
+            return False
+        spots = [_along(path, here, reach) for reach in (0.5, 1.0)]
+        return any(may_be_over(scene, np.array([*spot, 0.0]), LOOK_AHEAD, NEAR_PERSON, now) for spot in spots)
+
+    def _wait(self, path: Sequence[Array]) -> Part:
+        """Stand until the way ahead is clear of people; the filter may still back away."""
+        start = self.senses.now
+        while self._person_ahead(path, self.pose[0]):
+            if self.senses.now - start > PERSON_PATIENCE:
+                return Ending(Status.FAILED, f"drive: a person stayed in the way for {PERSON_PATIENCE:.0f} s")
+            yield self.rest("wait")
+        return None
+
+    def _nominal(self, wish: Array, phase: str) -> Nominal:
+        self._before = self._u_nom
+        return Nominal(self._project(wish), 0.0, 0.0, phase)
+
+    def _project(self, wish: Array) -> Array:
+        self._u_nom = self._motion.project(self.senses.state, wish, self._before, self.senses.now)
+        return self._u_nom
+
+
+def wrapped(angle: float) -> float:
+    """The same angle in (−π, π] [rad]."""
+    return -((-angle + pi) % (2.0 * pi) - pi)
+
+
+def _turn(heading: float, path: Sequence[Array], here: Array) -> float:
+    """Angle from the heading to the point `AHEAD` on the path [rad]."""
+    dx, dy = (_along(path, here, AHEAD) - here).tolist()
+    return wrapped(atan2(dy, dx) - heading)
+
+
+def _along(path: Sequence[Array], here: Array, reach: float) -> Array:
+    """The point (2,) that lies `reach` [m] beyond the path's point nearest to `here`."""
+    best, at, share = np.inf, 0, 0.0
+    for k, (a, b) in enumerate(pairwise(path)):
+        line = b - a
+        along = float(np.clip((here - a) @ line / (line @ line + 1e-12), 0.0, 1.0))
+        away = float(np.linalg.norm(here - a - along * line))
+        if away < best - 1e-9:
+            best, at, share = away, k, along
+    point, left = path[at] + share * (path[at + 1] - path[at]), reach
+    for b in path[at + 1 :]:
+        length = float(np.linalg.norm(b - point))
+        if length >= left:
+            return point + (b - point) * (left / max(length, 1e-9))
+        point, left = b, left - length
+    return path[-1]

@@ -1,0 +1,13 @@
+"""The plant that suits a body: an arm on its table, or a base in its room."""
+
+from __future__ import annotations
+
+from dualbrain.embodiment.body import Body
+from dualbrain.world.base_plant import BasePlant
+from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import SceneSpec
+
+
+def open_plant(spec: SceneSpec, body: Body, *, visuals: bool = False) -> Plant:
+    """The world `spec` with `body` in it; `visuals` as for `Plant`."""
+    return (BasePlant if body.mobile else Plant)(spec, body, visuals=visuals)

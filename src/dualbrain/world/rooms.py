@@ -1,0 +1,119 @@
+"""Seeded rooms for a base: walls, a shelf, a charger, boxes in the way, and a person who crosses.
+
+The base starts at the origin and looks along x. The shelf stands at the far wall, the charger at a side wall; places
+in front of them are named after them. Boxes leave gaps that the base can pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dualbrain.errors import UnknownName
+from dualbrain.records import Box, Place, Vector
+from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
+
+REGION = ((-1.0, -2.4), (5.2, -2.4), (5.2, 2.4), (-1.0, 2.4))
+SHELF, CHARGER = Box((0.2, 0.6, 0.9)), Box((0.25, 0.15, 0.3))
+IN_FRONT = 0.65
+"""How far from a thing's front its place lies [m]."""
+GAP = 0.95
+"""Room between boxes, and around the start and the places [m]."""
+CROSSING = 2.2
+"""Where the person crosses, x [m]; boxes stay off that strip."""
+
+
+@dataclass
+class _Draft:
+    rng: np.random.Generator
+    things: list[Thing] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list)
+    mover: Mover | None = None
+
+    def free(self, x: float, y: float, radius: float) -> bool:
+        """Whether a disc keeps its gap to everything that stands, to the start and to the places."""
+        spots = [(0.0, 0.0, 0.3), *((p.position[0], p.position[1], 0.3) for p in self.places)]
+        spots += [(t.position[0], t.position[1], _radius(t)) for t in self.things]
+        return all(np.hypot(x - a, y - b) > radius + r + GAP for a, b, r in spots)
+
+
+def make_room(family: str, seed: int, robot: str) -> SceneSpec:
+    """The room of `family` for `seed`; the same pair always gives the same room. Raises `UnknownName`."""
+    if family not in ROOMS:
+        raise UnknownName("room", family, tuple(ROOMS))
+    draft = _Draft(np.random.default_rng([seed, sum(map(ord, family))]))
+    _furnish(draft)
+    ROOMS[family](draft)
+    spec = SceneSpec(robot, family, seed, tuple(draft.things), tuple(draft.places), draft.mover, REGION)
+    check_scene(spec)
+    return spec
+
+
+def _empty(draft: _Draft) -> None:
+    """Nothing but the furniture."""
+    del draft
+
+
+def _boxes(draft: _Draft) -> None:
+    """Two to four boxes in the way."""
+    for index in range(int(draft.rng.integers(2, 5))):
+        _put_box(draft, index)
+
+
+def _crossing(draft: _Draft) -> None:
+    """A person who walks across the room and back, and a box or two."""
+    rng = draft.rng
+    for index in range(int(rng.integers(1, 3))):
+        _put_box(draft, index)
+    y, speed, pause = float(rng.uniform(1.5, 1.8)), float(rng.uniform(0.15, 0.25)), float(rng.uniform(4.0, 7.0))
+    cycle = 2.0 * (pause + 2.0 * y / speed)
+    start: Vector = (CROSSING, y if rng.random() < 0.5 else -y, 0.9)
+    end: Vector = (CROSSING, -start[1], 0.9)
+    draft.mover = Mover(
+        start, end, speed, pause, float(rng.uniform(0.0, cycle)), name="person", radius=0.25, half_length=0.62,
+        axis=(0.0, 0.0, 1.0),
+    )  # fmt: skip
+
+
+ROOMS: dict[str, Callable[[_Draft], None]] = {"empty_room": _empty, "boxes": _boxes, "crossing": _crossing}
+
+
+def _furnish(draft: _Draft) -> None:
+    rng = draft.rng
+    y = float(rng.uniform(-1.3, 1.3))
+    shelf_x = REGION[1][0] - SHELF.half_extents[0]
+    draft.things.append(_fixed("shelf_unit", SHELF, (shelf_x, y), "oak", "shelf"))
+    draft.places.append(Place("shelf", (shelf_x - SHELF.half_extents[0] - IN_FRONT, y, 0.0)))
+    side, x = (1.0 if rng.random() < 0.5 else -1.0), float(rng.uniform(0.6, 2.6))
+    charger_y = side * (REGION[2][1] - CHARGER.half_extents[1])
+    draft.things.append(_fixed("charging_station", CHARGER, (x, charger_y), "teal", "charger"))
+    draft.places.append(Place("charger", (x, charger_y - side * (CHARGER.half_extents[1] + IN_FRONT), 0.0)))
+
+
+def _put_box(draft: _Draft, index: int) -> None:
+    """A box at a free spot; none where no spot is free."""
+    rng, half = draft.rng, float(draft.rng.uniform(0.15, 0.28))
+    shape = Box((half, half, float(rng.uniform(0.2, 0.4))))
+    for _ in range(400):
+        x, y = float(rng.uniform(0.8, 4.2)), float(rng.uniform(-1.9, 1.9))
+        if draft.free(x, y, half * 2**0.5) and abs(x - CROSSING) > 0.4 + half + 0.25:
+            draft.things.append(
+                _fixed(f"crate_{index + 1}", shape, (x, y), "brown", "crate", float(rng.uniform(-3, 3)))
+            )
+            return
+
+
+def _fixed(
+    name: str, shape: Box, at: tuple[float, float], colour: str, category: str, yaw: float = 0.0
+) -> Thing:  # fmt: skip
+    turn = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
+    return Thing(
+        name, "obstacle", shape, (at[0], at[1], shape.half_extents[2]), 20.0, colour, category, turn, fixed=True
+    )
+
+
+def _radius(thing: Thing) -> float:
+    assert isinstance(thing.shape, Box)
+    return float(np.hypot(thing.shape.half_extents[0], thing.shape.half_extents[1]))

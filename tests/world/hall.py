@@ -1,0 +1,38 @@
+"""A base in a room with its local layer, without planner and memory."""
+
+import numpy as np
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.rooms import make_room
+
+BASE = load_body("base")
+
+
+class Hall:
+    def __init__(self, family="empty_room", seed=0, spec=None):
+        self.spec = spec or make_room(family, seed, "base")
+        self.plant = open_plant(self.spec, BASE)
+        self.trace = Trace(BASE.n, BASE.width)
+        self.world = SimulatedWorld(self.plant, Perception(self.spec, Noise(), np.random.default_rng(seed)))
+        self.monitor = self.world.monitor
+        self.layer = LocalLayer(
+            BASE, self.plant, self.world, SafetyFilter(BASE), FlightLog(self.trace), LayerConfig(settle=0.1),
+            phase_changed=self.world.allow,
+        )  # fmt: skip
+
+    def run(self, *actions):
+        contract = Contract("c-1", Context("base", ""), tuple(Action(skill, params) for skill, params in actions))
+        self.world.begin(contract)
+        return self.layer.run(contract)
+
+
+def drive_to(place, max_speed=0.6):
+    return ("drive_to", {"place": place, "max_speed": max_speed, "max_turn_rate": 1.2})
