@@ -12,6 +12,7 @@ from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
 from proofs.poisoning import Poisoning
 from proofs.proof import Proof
+from proofs.robots import Robots
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
 from proofs.zoo import Zoo
@@ -20,7 +21,7 @@ PROOFS: dict[str, Proof] = {
     proof.name: proof
     for proof in (
         Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
-        Zoo(), Kills(), Poisoning(), Learning(),
+        Robots(), Zoo(), Kills(), Poisoning(), Learning(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

@@ -22,6 +22,8 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.trace import Trace
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.arrival import At
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
@@ -62,17 +64,17 @@ def errand(**values: Any) -> list[dict[str, Any]]:
 
 
 def fly(
-    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, hold: float = 0.2, goal: Goal | None = ERRAND,
-    guard: bool = True, watch: Callable[[Moment], None] | None = None,
+    spec: SceneSpec, actions: list[dict[str, Any]], *, seed: int = 0, hold: float = 0.2,
+    goal: Goal | At | None = ERRAND, guard: bool = True, watch: Callable[[Moment], None] | None = None,
 ) -> Flight:  # fmt: skip
     """Stand still for `hold` [s], pass the gate with the scene's rules, and carry the contract out.
 
     The filter is on unless `guard` is False; `watch` sees a moment now and then.
     """
     body = load_body(spec.robot)
-    plant = Plant(spec, body)
+    plant = open_plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])), goal=goal)
-    log = FlightLog(Trace(body.n))
+    log = FlightLog(Trace(body.n, body.width))
     layer = LocalLayer(
         body, plant, world, SafetyFilter(body), log, LayerConfig(guard=guard), watch=watch, phase_changed=world.allow
     )

@@ -73,6 +73,11 @@ def task(family: str, seed: int, kind: str) -> Task:
     return Task(spec, kind, thing, [*grasp, {"skill": "place", "params": place}], goal)
 
 
+def way_of(scene: Scene, thing: str, speed: float = 0.2) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the rules say of a journey with `thing` (clearance, route, wait), and of its grasp."""
+    return _way(scene, thing), _grasp(scene, thing, speed)
+
+
 def _fitting(scene: Scene) -> list[str]:
     """Things that the fingers can close on along the axis that the rules would choose."""
     objects = [thing for thing in scene.objects if thing.role == "object"]
