@@ -41,7 +41,7 @@ from dualbrain.errors import UnknownName
 Tell = Callable[[str], None]
 
 CONFIGURATIONS = 100_000
-UNKNOWN = Tracking(0.002, 0.01, 3.0, "a guess: run `dualbrain robot identify`")
+UNKNOWN = Tracking(0.002, 0.01, 3.0, "a guess: run `dualbrain robot identify`", "computed_torque")
 """What a body starts with that nobody has driven yet."""
 
 
