@@ -31,6 +31,7 @@ def run(
     seed: int = 0,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
+    eyes: Annotated[bool, Parameter(negative="")] = False,
     map: str = "",
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
@@ -64,6 +65,8 @@ def run(
         Everything random after the scene (perception).
     port
         Where the live view listens, on this machine only.
+    eyes
+        A picture of the scene, as features, becomes part of what memory compares (needs `efficientnet-lite0`).
     knowledge
         "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
     map
@@ -89,6 +92,6 @@ def run(
         carry_out(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
-            consult=knowledge == "on", chart=map, live=live, stage=share(speed),
+            consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes,
         )
     )  # fmt: skip

@@ -35,6 +35,10 @@ class Filter:
     before: float | None = None
 
 
+REMEMBERED = 16
+"""So many filters keep their answer."""
+
+
 class _Column:
     """Values of one kind, each stored as a small number."""
 
@@ -61,10 +65,12 @@ class Columns:
         self._columns = {name: _Column() for name in ("place", "lesson", "skills", "kind", "source", "status")}
         self._times = np.empty(64)
         self._count = 0
+        self._masks: dict[Filter, Mask] = {}
 
     def add(self, memo: Memo) -> None:
         """Append a row."""
         row, self._count = self._count, self._count + 1
+        self._masks.clear()
         if row == len(self._times):
             self._times = np.concatenate([self._times, np.empty(max(64, row // 2))])
         self._times[row] = memo.time
@@ -75,10 +81,18 @@ class Columns:
 
     def set_status(self, row: int, status: Status) -> None:
         """Change the status of a row."""
+        self._masks.clear()
         self._columns["status"].set(row, status)
 
     def mask(self, wanted: Filter) -> Mask:
-        """Which rows pass, shape (n,)."""
+        """Which rows pass, shape (n,); remembered until a row is added or changes its status. Not to be written to."""
+        if wanted not in self._masks:
+            if len(self._masks) == REMEMBERED:
+                self._masks.clear()
+            self._masks[wanted] = self._passing(wanted)
+        return self._masks[wanted]
+
+    def _passing(self, wanted: Filter) -> Mask:
         n, columns = self._count, self._columns
         if not n:
             return np.zeros(0, bool)

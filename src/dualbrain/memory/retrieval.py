@@ -64,6 +64,7 @@ class Scan:
         self._masks: NDArray[np.uint8] = np.empty(0, np.uint8)
         self._count = 0
         self._mask: int | None = None
+        self._scratch: tuple[Rows, Rows] = (np.empty(0, np.float32), np.empty(0, np.float32))
 
     def __len__(self) -> int:
         return self._count
@@ -122,15 +123,20 @@ class Scan:
         so the answer equals that of a float64 sort, and equal rows tie exactly wherever they stand.
         """
         check_lambda(lambda_s)
-        rows = np.flatnonzero(eligible)
-        if k <= 0 or rows.size == 0:
+        n = self._count
+        if k <= 0 or n == 0:
             return ()
-        whole = rows.size == self._count
-        cosine = compared.cosine if whole else compared.cosine[rows]
-        weights = self._weights[: self._count] if whole else self._weights[rows]
-        rough = cosine * np.float32(lambda_s / 2.0)
-        rough += (1.0 - lambda_s) * weights
-        return self._ranked(rows[rough >= _kth(rough, k) - self._slack(compared.query)], compared.query, lambda_s)[:k]
+        if len(self._scratch[0]) < n:
+            self._scratch = (np.empty(len(self._rows), np.float32), np.empty(len(self._rows), np.float32))
+        rough, sorting = (part[:n] for part in self._scratch)
+        np.multiply(compared.cosine, np.float32(lambda_s / 2.0), out=rough)
+        np.multiply(self._weights[:n], 1.0 - lambda_s, out=sorting, casting="same_kind")
+        rough += sorting
+        np.copyto(rough, -np.inf, where=~eligible)
+        np.copyto(sorting, rough)
+        sorting.partition(max(0, n - k))
+        rows = np.flatnonzero(rough >= sorting[max(0, n - k)] - self._slack(compared.query))
+        return self._ranked(rows[eligible[rows]], compared.query, lambda_s)[:k]
 
     def _slack(self, query: Query) -> float:
         """Bound of the rounding of a float32 score."""
@@ -157,8 +163,3 @@ def check_lambda(lambda_s: float) -> None:
     """Raise `InvalidSetup` unless λ_s ∈ [0, 1]."""
     if not 0.0 <= lambda_s <= 1.0:
         raise InvalidSetup("lambda_s", got=lambda_s, allowed="in [0, 1]")
-
-
-def _kth(values: NDArray[np.floating], k: int) -> float:
-    """The k-th largest value, the smallest if there are fewer."""
-    return float(np.partition(values, -k)[-k]) if k < values.size else float(values.min())
