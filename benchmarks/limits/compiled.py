@@ -18,7 +18,7 @@ ENTRIES = ("dbk_step", "dbk_project")
 MOVES = re.compile(r"(__aeabi_)?mem(cpy|set|move|clr)[48]?$|__stack_chk_fail$")
 BARE = (
     "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
-    "-fno-asynchronous-unwind-tables", "-fstack-size-section",
+    "-fno-asynchronous-unwind-tables", "-fstack-size-section", "-DDBK_MAX_OBSTACLES=48",
 )  # fmt: skip
 ZIG = (sys.executable, "-m", "ziglang", "cc")
 
@@ -33,7 +33,7 @@ class Target:
 
 
 def targets() -> list[Target]:
-    """The host as shipped, in float64, and two microcontrollers.
+    """The host as shipped, in float64, and two microcontrollers with room for 48 obstacles.
 
     gcc's stack report leaves out the 128 bytes that x86-64 leaf functions may use below the stack: switched off here.
     """
