@@ -21,8 +21,8 @@ def _memory(compiled: list[dict[str, Any]]) -> list[str]:
         lines.append(
             "| " + " | ".join(f"{p:,}".replace(",", " ") if isinstance(p, int) else str(p) for p in parts) + " |"
         )
-    whose = "Bytes; `dbk_model`, `dbk_scene` and `dbk_ctx` are the caller's, one each for a robot. The host has room for 512"
-    return [*lines, "", whose, "obstacles, the microcontrollers for 48."]
+    whose = "Bytes; `dbk_model`, `dbk_scene` and `dbk_ctx` are the caller's, one each for a robot."
+    return [*lines, "", f"{whose} The host has room for 512", "obstacles, the microcontrollers for 48."]
 
 
 def _stack(compiled: list[dict[str, Any]]) -> list[str]:
