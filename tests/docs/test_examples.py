@@ -11,12 +11,12 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
-def told(name):
+def told(name, patience=120):
     """What the example prints."""
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     run = subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "examples" / f"{name}.py")],
-        capture_output=True, text=True, encoding="utf-8", env=environment, timeout=120, check=False,
+        capture_output=True, text=True, encoding="utf-8", env=environment, timeout=patience, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert not run.stderr
@@ -102,6 +102,29 @@ def test_a_policy_behind_the_filter_stays_off_the_shelf():
     assert float(watched.split("least h")[1].split("mm")[0]) < -10.0
     assert float(filtered.split("least h")[1].split("mm")[0]) >= 0.0
     assert "'shelf'" in filtered
+
+
+def test_a_depth_image_keeps_the_arm_from_what_it_shows_and_silence_stops_it():
+    lines = told("11_depth_image").splitlines()
+    assert int(lines[0].split()[0]) >= 4
+    assert lines[1].startswith("refused: frame 'lense'")
+    assert "old, at most 0.2 s" in lines[2]
+    assert "'camera/cluster" in lines[3] + lines[4]
+    assert "seen too long ago" in lines[5]
+    assert float(lines[6].split("than")[1].split("mm")[0]) >= 0.0
+
+
+def test_a_stranger_brings_a_robot_in_four_commands_and_two_minutes():
+    text = told("12_your_robot", patience=600)
+    assert text.count("$ dualbrain") == 4
+    assert "asked for: --acceleration, --period, --tool-speed" in text
+    assert "100.00% of every part's surface" in text
+    assert "Look at http://127.0.0.1:" in text
+    assert float(text.split("least h")[1].split("mm")[0]) >= 0.0
+    assert "skills: move_to" in text
+    busy = text.split("four commands, ")[1].split(" s, ")[1].split(" s of one processor")[0]
+    assert float(busy) < 60.0  # two minutes are meant of a machine with nothing else to do
+    assert "body.json" in text
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -41,7 +41,7 @@ def carry_out(
     instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
-    consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
+    consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False, site: Path | None = None,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
@@ -50,7 +50,7 @@ def carry_out(
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
         goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
-        map=chart, eyes=eyes,
+        map=chart, eyes=eyes, site=site,
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)

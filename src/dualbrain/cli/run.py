@@ -25,6 +25,7 @@ def run(
     filter: Literal["on", "off"] = "on",
     contract: Path | None = None,
     goal: str = "",
+    site: Path | None = None,
     headless: bool = False,
     out: Path | None = None,
     ledger: Path | None = None,
@@ -55,6 +56,8 @@ def run(
         Run this contract file instead of asking a planner; it passes the same gate.
     goal
         What counts as success on truth, as "put THING in DESTINATION"; default: what the contract itself says.
+    site
+        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/site.md.
     headless
         No live view.
     out
@@ -88,10 +91,12 @@ def run(
     if live and filter == "off":
         raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()
+    if live and site is not None:
+        raise WrongUsage("--site", got=str(site), allowed="without --live: the gatekeeper does not read it yet")
     return Exit(
         carry_out(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
-            consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes,
+            consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes, site=site,
         )
     )  # fmt: skip

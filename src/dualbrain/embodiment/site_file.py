@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
 from dualbrain.embodiment.body import Quaternion, Vector
 from dualbrain.errors import InvalidSetup
 
+T = TypeVar("T")
 LARGEST = 2**20
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Length = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
@@ -69,7 +70,7 @@ class ToolEntry(Entry, frozen=True):
 
 
 class Payload(Entry, frozen=True):
-    """[payload]: what the robot carries from the start: at most 8 spheres in the tool frame, error of its place [m]."""
+    """[payload]: what the robot always carries: at most 8 spheres in the tool frame, error of their place [m]."""
 
     spheres: Annotated[tuple[Ball, ...], msgspec.Meta(min_length=1, max_length=8)]
     error: Length = 0.0
@@ -160,11 +161,24 @@ def read_site(path: Path) -> SiteFile:
     places = _places(text)
     if (bad := _not_finite(data, "")) is not None:
         raise SiteError(path.name, place_of(bad, places), bad, got="not finite", allowed="finite numbers")
+    for table, kind in (
+        ("joint", JointCaps),
+        ("commander", Commander),
+    ):  # by name, which msgspec leaves out of its path
+        entries = data.get(table)
+        if isinstance(entries, dict):
+            for name, entry in cast("dict[str, Any]", entries).items():
+                _converted(entry, kind, f"{table}.{name}", path, places)
+    return SiteFile(path, _converted(data, Site, "", path, places), places)
+
+
+def _converted(data: Any, kind: type[T], prefix: str, path: Path, places: Mapping[str, tuple[int, int]]) -> T:
+    """`data` as `kind`; raises `SiteError` with the place of what does not fit, which stands under `prefix`."""
     try:
-        return SiteFile(path, msgspec.convert(data, Site), places)
+        return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         what, _, at = str(error).partition(" - at `$")
-        entry = at.strip("`.")
+        entry = f"{prefix}.{at.strip('`.')}".strip(".")
         if field := re.search(r"unknown field `(.+)`", what):
             entry = f"{entry}.{field.group(1)}".lstrip(".")
         raise SiteError(path.name, place_of(entry, places), entry, got=what, allowed="see docs/site.md") from error

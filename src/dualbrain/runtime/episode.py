@@ -5,7 +5,7 @@ Data flows one way; what seems to flow back is a value: a refusal in the second 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import get_args
 
@@ -31,7 +31,7 @@ from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
-from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+from dualbrain.runtime.vocabulary import PLANNER, grants, registry_of, scene_names
 
 LookUp = Callable[[str, str], tuple[Passage, ...]]
 """Instruction and scene summary → passages to show."""
@@ -67,14 +67,16 @@ class Witness:
 def run_episode(
     errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer | RemoteLayer, thinking: Thinking,
     witness: Witness, keep: Callable[[Episode], None], *, now: float, look_up: LookUp = lambda instruction, summary: (),
+    granted: Mapping[str, frozenset[str]] | None = None,
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
 
-    `look_up` gives the passages of documents that bear on the instruction in this scene.
+    `look_up` gives the passages of documents that bear on the instruction in this scene. `granted` says who may call
+    which skill; by default the planner may call every one.
 
     The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
     """
-    registry = vocabulary(layer.body.name)
+    registry = registry_of(layer.body)
     scene, names = layer.scene, scene_names(layer.scene)
     summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
     posture = Posture(tuple(layer.state.q.tolist()), layer.state.opening)
@@ -83,7 +85,7 @@ def run_episode(
         errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
     )  # fmt: skip
     recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
-    gate = _gate(layer, registry)
+    gate = _gate(layer, registry, grants(registry) if granted is None else granted)
     request = PlanRequest(
         errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
         registry.decoding_schema(names), contract_id="c-0001",
@@ -120,11 +122,13 @@ def run_episode(
     return episode, memory.store(episode, posture, now=now, image=image)
 
 
-def _gate(layer: LocalLayer | RemoteLayer, registry: Registry) -> Gate | RemoteGate:
+def _gate(
+    layer: LocalLayer | RemoteLayer, registry: Registry, granted: Mapping[str, frozenset[str]]
+) -> Gate | RemoteGate:
     """The gate before this layer: a gatekeeper has its own, to which bytes are only brought."""
     if isinstance(layer, RemoteLayer):
         return RemoteGate(layer.link)
-    return Gate(registry, grants(registry), (lambda contract: _against_scene(contract, layer),))
+    return Gate(registry, granted, (lambda contract: _against_scene(contract, layer),))
 
 
 def _check(gate: Gate | RemoteGate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:

@@ -6,6 +6,7 @@ and must arrive at the same u, δ and h, to the last bit.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup
 from dualbrain.runtime.recording import EpisodeInfo, FilterCall, Ticks, read_recording, recording_state
@@ -56,7 +57,7 @@ def replay(path: Path) -> Replay:
     for message in read_recording(path):
         match message:
             case EpisodeInfo(_, data):
-                machine = _Machine(str(data["robot"]), guard=bool(data["guard"]))
+                machine = _Machine(data)
                 result.instruction = str(data.get("instruction", ""))
             case FilterCall(_, name, arguments) if machine:
                 machine.call(name, arguments)
@@ -75,9 +76,12 @@ def replay(path: Path) -> Replay:
 class _Machine:
     """A fresh filter that is fed what was recorded."""
 
-    def __init__(self, robot: str, *, guard: bool) -> None:
-        body = load_body(robot)
-        self._filter, self._guard, self._where = SafetyFilter(body), guard, columns(body.n, body.width)
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        """`data` is the /episode message: robot and guard, and what a site file changed."""
+        body = msgspec.convert(data["body"], Body) if "body" in data else load_body(str(data["robot"]))
+        standing = msgspec.convert(data.get("standing", ()), tuple[Obstacle, ...])
+        self._filter, self._guard = SafetyFilter(body, standing=standing), bool(data["guard"])
+        self._where = columns(body.n, body.width)
 
     def call(self, name: str, arguments: dict[str, Any]) -> None:
         """Repeat one call that changes the filter's tables."""

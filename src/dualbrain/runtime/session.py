@@ -15,6 +15,7 @@ import numpy as np
 
 from dualbrain import __version__, weights
 from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.site_file import read_site
 from dualbrain.errors import InvalidSetup
 from dualbrain.knowledge.library import Library
 from dualbrain.knowledge.shipped import open_library
@@ -42,9 +43,10 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
 from dualbrain.runtime.trace import Event, Trace
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.runtime.vocabulary import registry_of
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
+from dualbrain.safety.site import site_body, site_grants, site_obstacles
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
@@ -75,6 +77,7 @@ class RunConfig:
     knowledge: Path | None = None
     consult: bool = False
     map: str = ""
+    site: Path | None = None
     goal: str = ""
     measured: bool = False
     visuals: bool = True
@@ -138,7 +141,10 @@ class Session:
     def _open(self, environ: Mapping[str, str], planner: Planner | None) -> None:
         config = self.config
         _check_folder(config.out)
-        self.body = load_body(config.robot)
+        site = read_site(config.site) if config.site else None
+        self.body = site_body(load_body(config.robot), site) if site else load_body(config.robot)
+        self.standing = site_obstacles(self.body, site) if site else ()
+        self.grants = site_grants(site, frozenset(registry_of(self.body).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
         goal = goal_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
@@ -190,6 +196,8 @@ class Session:
         with Recorder(out / "episode.mcap", trace, when_full="wait") as recorder:
             log = FlightLog(trace, recorder, onlooker.event)
             about = {"robot": config.robot, "guard": config.guard, "instruction": config.instruction}
+            if config.site:
+                about |= {"body": self.body, "standing": self.standing}
             recorder.episode(0.0, {**about, "versions": self._versions()})
             try:
                 episode, stored = self._episode(log, onlooker)
@@ -210,7 +218,8 @@ class Session:
             onlooker.phase(phase)
 
         layer = LocalLayer(
-            self.body, self.plant, world, SafetyFilter(self.body), log, LayerConfig(guard=config.guard),
+            self.body, self.plant, world, SafetyFilter(self.body, standing=self.standing), log,
+            LayerConfig(guard=config.guard),
             watch=onlooker.moment, phase_changed=phase_changed,
             interrupted=lambda: self._interrupted, clock=lambda: self.plant.now,
         )  # fmt: skip
@@ -222,7 +231,7 @@ class Session:
         witness = Witness(world.begin, world.judgement, self._versions(), self._picture)
         episode, stored = run_episode(
             errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now(),
-            look_up=self._look_up,
+            look_up=self._look_up, granted=self.grants,
         )  # fmt: skip
         for one in stored.changes:
             why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
@@ -234,7 +243,7 @@ class Session:
         """What the documents say to this, if they are to be asked."""
         if self.library is None or not self.config.consult:
             return ()
-        return consult(self.library, instruction, summary, vocabulary(self.body.name))
+        return consult(self.library, instruction, summary, registry_of(self.body))
 
     def _picture(self) -> Picture | None:
         """What the camera at the front sees now, as features."""

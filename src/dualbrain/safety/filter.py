@@ -52,11 +52,11 @@ class SafetyFilter:
 
     def __init__(
         self, body: Body, config: FilterConfig | None = None, *, weight: Array | None = None,
-        barriers: Sequence[LiveBarrier] = (),
+        barriers: Sequence[LiveBarrier] = (), standing: Sequence[Obstacle] = (),
     ) -> None:  # fmt: skip
         """Compile `body` for the kernel; `weight` is R (n, n), by default diag(1/v_max²).
 
-        `barriers` are asked for their rows in every step.
+        `barriers` are asked for their rows in every step; `standing` obstacles stay beside whatever is observed.
         """
         self.body, self.config = body, config or FilterConfig()
         self._n = body.n
@@ -75,13 +75,17 @@ class SafetyFilter:
             tuple(links), (), tuple(joint.name for joint in body.joints), tuple(j.velocity.value for j in body.joints)
         )
         self._groups = {link.name: link.group for link in body.links}
+        self._standing = tuple(standing)
+        if standing:
+            self.observe(())
 
     # --- what the filter knows --------------------------------------------------------------------------------
 
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
+        obstacles = (*obstacles, *self._standing)
         self._kernel.set_obstacles(obstacle_rows(obstacles, self._parts))
-        self._obstacles, self._stamp = tuple(obstacles), stamp
+        self._obstacles, self._stamp = obstacles, stamp
         self._names = msgspec.structs.replace(
             self._names,
             obstacles=tuple(thing.name for thing in obstacles),

@@ -20,6 +20,8 @@ from dualbrain.safety.result import Filtered, Status
 
 Array = NDArray[np.float64]
 
+MOST_OBSTACLES: int = _kernel.max_obstacles
+"""Room of the obstacle table."""
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN, STATIC = 1, 2
 ALL_PARTS = 2**32 - 1

@@ -1,0 +1,151 @@
+"""A site file: errors name line and column; caps only narrow; planes, boxes, tool and payload hold in the filter."""
+
+import numpy as np
+import pytest
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.site_file import SiteError, read_site
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.barriers.trials import EXACT
+from dualbrain.safety.site import guarded_by, site_body, site_grants, site_obstacles
+
+WHOLE = """
+[robot]
+tool_speed = 0.2
+
+[limits]
+velocity = 2.0
+
+[joint.panda_joint4]
+acceleration = 5.0
+lower = -2.9
+
+[tool]
+position = [0, 0, 0.1]
+[[tool.spheres]]
+centre = [0, 0, 0.05]
+radius = 0.04
+
+[payload]
+error = 0.01
+[[payload.spheres]]
+centre = [0, 0, 0.14]
+radius = 0.03
+
+[[plane]]
+name = "table"
+point = [0, 0, 0]
+inward = [0, 0, 1]
+parts = ["hand"]
+
+[[keep_out]]
+name = "cabinet"
+position = [0.6, 0.4, 0.3]
+half_extents = [0.1, 0.1, 0.3]
+yaw = 0.3
+
+[commander.planner]
+skills = ["home", "hold"]
+"""
+
+
+def site(folder, text):
+    path = folder / "lab.toml"
+    path.write_text(text)
+    return read_site(path)
+
+
+PLANE = "[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "said"),
+    [
+        ("[robot]\nperiod = 0.0", 2, 10, "> 0.0"),
+        ("[limits]\n\nvelocity = \"fast\"", 3, 12, "Expected `float"),
+        ("[limits]\nvelocty = 1.0", 2, 11, "unknown field `velocty`"),
+        ("[robt]\nperiod = 1", 1, 1, "unknown field `robt`"),
+        ("[joint.elbow]\nlower = nan", 2, 9, "not finite"),
+        (f"{PLANE}[[plane]]\nname = 'b'\npoint = [0, 0]\ninward=[0,0,1]", 7, 9, "length"),
+        ("[[keep_out]]\nname = 'box'\nposition = [0, 0, 0]\n", 1, 1, "half_extents"),
+        ("[robot]\nperiod = = 2", 2, 10, "Invalid value"),
+        ("[commander.planner]\nskills = 'all'", 2, 10, "array"),
+    ],
+)  # fmt: skip
+def test_an_error_names_its_line_and_column(tmp_path, text, line, column, said):
+    with pytest.raises(SiteError) as caught:
+        site(tmp_path, text)
+    assert (caught.value.line, caught.value.column) == (line, column)
+    assert f"lab.toml, line {line}, column {column}" in str(caught.value)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("[joint.elbow]\nvelocity = 1.0", 1, "panda_joint1"),
+        ("[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 1]\nparts = ['tail']", 5, "tail"),
+        ("[[plane]]\nname = 'a'\npoint = [0, 0, 0]\ninward = [0, 0, 0]", 4, "not zero"),
+        ("[joint.panda_joint1]\nlower = 2.9", 1, "not empty"),
+    ],
+)
+def test_what_does_not_fit_the_body_names_its_line(tmp_path, text, line, said):
+    file, body = site(tmp_path, text), load_body("panda")
+    with pytest.raises(SiteError) as caught:
+        site_obstacles(site_body(body, file), file)
+    assert caught.value.line == line
+    assert said in str(caught.value)
+
+
+def test_caps_only_narrow_and_say_so(tmp_path):
+    body = load_body("panda")
+    narrowed = site_body(body, site(tmp_path, WHOLE))
+    fourth = narrowed.joints[3]
+    assert [joint.velocity.value for joint in narrowed.joints] == [2.0] * 7
+    assert (fourth.acceleration.value, fourth.lower.value) == (5.0, -2.9)
+    assert fourth.acceleration.provenance.startswith("site policy (lab.toml:9); wider: 12.5 of")
+    assert narrowed.tool_speed.value == 0.2
+    wide = site_body(body, site(tmp_path, "[limits]\nvelocity = 9.0\n[joint.panda_joint1]\nlower = -9.0\n"))
+    assert wide == body
+
+
+def test_tool_and_payload_belong_to_the_body_and_are_kept_from_what_the_hand_is(tmp_path):
+    body, file = load_body("panda"), site(tmp_path, WHOLE)
+    narrowed = site_body(body, file)
+    plain, longer = guarded_by(site(tmp_path, ""), body), guarded_by(file, body)
+    q = np.array(body.home)
+    assert np.allclose(longer.tool(q).position, plain.tool(q).position + 0.1 * plain.tool(q).rotation[:, 2], atol=1e-6)
+    where, radii, groups = longer.spheres(q, 0.0)
+    assert len(radii) == len(body.spheres) + 2
+    assert groups[-2:] == ("hand", "hand")
+    assert radii[-2:] == pytest.approx([0.04, 0.03 + 0.01], abs=1e-6)
+    centre = plain.tool(q).position + 0.14 * plain.tool(q).rotation[:, 2]
+    assert np.allclose(where[-1], centre, atol=1e-6)
+    kept = {pair for pair in narrowed.self_pairs.kept if "site_payload" in pair}
+    assert kept
+    assert {part for part, _ in kept} <= {part for pair in body.self_pairs.kept for part in pair}
+
+
+def test_the_filter_keeps_the_payload_above_the_table(tmp_path):
+    safety = guarded_by(site(tmp_path, WHOLE), load_body("panda"), EXACT)
+    q, u = np.array(safety.body.home), np.zeros(7)
+    for _ in range(3000):
+        J = safety.tool(q).jacobian[:3]
+        u = safety(q, u, J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), np.array([0.0, 0.0, -0.3]))).u
+        q = q + safety.body.period * u
+    where, radii, groups = safety.spheres(q, 0.0)
+    hand = np.array([group == "hand" for group in groups])
+    assert 0.0 <= np.min(where[hand, 2] - radii[hand]) < 0.01
+
+
+def test_who_may_command_what(tmp_path):
+    skills = frozenset({"home", "hold", "grasp"})
+    assert site_grants(site(tmp_path, WHOLE), skills) == {"planner": frozenset({"home", "hold"})}
+    assert site_grants(site(tmp_path, ""), skills) is None
+    with pytest.raises(SiteError, match="line 37"):
+        site_grants(site(tmp_path, WHOLE), frozenset({"home"}))
+
+
+def test_no_file_no_site(tmp_path):
+    with pytest.raises(InvalidSetup, match="site file"):
+        read_site(tmp_path / "gone.toml")
