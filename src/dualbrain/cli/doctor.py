@@ -30,15 +30,40 @@ class Finding:
     text: str
 
 
-def doctor() -> int:
-    """Examine this installation: versions, kernel, rendering, models, memory, latency of one filter step."""
+def doctor(*, robot: str = "") -> int:
+    """Examine this installation: versions, kernel, rendering, models, memory, latency of one filter step.
+
+    Parameters
+    ----------
+    robot
+        Examine this robot instead: a known name, or a folder that `dualbrain robot init` made.
+    """
+    if robot:
+        return _told(_robot(robot))
     examinations = (_versions, _kernel, _latency, _rendering, _models, _memory)
-    findings = [finding for examine in examinations for finding in _safely(examine)]
+    return _told([finding for examine in examinations for finding in _safely(examine)])
+
+
+def _told(findings: list[Finding]) -> int:
     table = Table("", "what", "found", box=None, pad_edge=False)
     for finding in findings:
         table.add_row("[green]ok[/]" if finding.good else "[red]--[/]", finding.what, finding.text)
     Console().print(table)
     return Exit.SUCCESS if all(finding.good for finding in findings) else Exit.SETUP
+
+
+def _robot(robot: str) -> list[Finding]:
+    """What is missing of one robot; whether the kernel has room for it."""
+    from dualbrain.embodiment.body import load_body
+    from dualbrain.embodiment.description.folder import read_report
+    from dualbrain.embodiment.description.page import gaps
+    from dualbrain.safety.filter import SafetyFilter
+
+    body, folder = load_body(robot), Path(robot)
+    SafetyFilter(body)
+    report, _ = read_report(folder) if folder.is_dir() else (None, None)
+    found = f"{body.n} joints, {len(body.spheres)} spheres, every bound with its provenance"
+    return [Finding(body.name, True, found), *(Finding("missing", False, line) for line in gaps(body, report))]
 
 
 def _safely(examine: Callable[[], list[Finding]]) -> list[Finding]:
