@@ -41,7 +41,8 @@ def carry_out(
     instruction: str, *, robot: str = "panda", scene: str = "0", planner: str = "", guard: bool = True,
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
-    consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False, site: Path | None = None,
+    consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
+    site: Path | None = None,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()

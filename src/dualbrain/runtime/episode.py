@@ -31,7 +31,8 @@ from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
-from dualbrain.runtime.vocabulary import PLANNER, grants, registry_of, scene_names
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names
+from dualbrain.skills.vocabulary import registry_of
 
 LookUp = Callable[[str, str], tuple[Passage, ...]]
 """Instruction and scene summary → passages to show."""

@@ -43,10 +43,10 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
 from dualbrain.runtime.trace import Event, Trace
-from dualbrain.runtime.vocabulary import registry_of
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.safety.site import site_body, site_grants, site_obstacles
+from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception

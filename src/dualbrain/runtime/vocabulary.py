@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.embodiment.body import Body, load_body
+from dualbrain.embodiment.body import load_body
 from dualbrain.records import Scene
 from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.scene_spec import SceneSpec
@@ -16,11 +16,6 @@ PLANNER = "planner"
 def vocabulary(robot: str) -> Registry:
     """The registry of skills of `robot`; raises `UnknownName` with the known robots."""
     return registry_of(load_body(robot))
-
-
-def registry_of(body: Body) -> Registry:
-    """The registry of skills of `body`, which a site may have narrowed."""
-    return arm_registry(body)
 
 
 def grants(registry: Registry) -> dict[str, frozenset[str]]:
