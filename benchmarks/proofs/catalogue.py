@@ -5,6 +5,9 @@ from __future__ import annotations
 from proofs.adversary import Adversary
 from proofs.bare import Bare
 from proofs.conservatism import Conservatism
+from proofs.cortex import Cortex
+from proofs.faults import Faults
+from proofs.fuzz_socket import FuzzSocket
 from proofs.kernel import Kernel
 from proofs.kills import Kills
 from proofs.learning import Learning
@@ -15,6 +18,7 @@ from proofs.proof import Proof
 from proofs.robots import Robots
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
+from proofs.tick import Tick
 from proofs.zoo import Zoo
 
 PROOFS: dict[str, Proof] = {
@@ -22,6 +26,7 @@ PROOFS: dict[str, Proof] = {
     for proof in (
         Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
         Robots(), Zoo(), Kills(), Poisoning(), Learning(),
+        Faults(), Cortex(), FuzzSocket(), Tick(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

@@ -63,41 +63,42 @@ class Enforcement:
         """Whether u = 0 is to be written: the arm has come to rest under an order to stand."""
         return self.anchor is not None
 
-    def obey(self, order: Order, state: RobotState, now: float) -> int:
+    def obey(self, order: Order, state: RobotState) -> int:
         """Take in the order and the measured state; returns the `Condition` bits that a broken standstill sets.
 
+        Time here is the robot's own (its stamps), so that a broken clock cannot make a stop look overdue.
         Sets `driving` and `standing`, which the local layer acts on.
         """
-        flags = self._drive(order, state, now)
+        flags = self._drive(order, state)
         if order.action < Rung.HOLD or not self.driving:
             self._since, self.anchor = None, None
             return flags
         if self._since is None:
-            self._since = now
+            self._since = state.stamp
         if self.anchor is None:
             if np.abs(state.v).max() < self.dials.rest:
                 self.anchor = state.q.copy()
-            elif not now - self._since <= self.dials.stop:
+            elif not state.stamp - self._since <= self.dials.stop:
                 flags |= C.STOP_OVERDUE
         elif not np.abs(state.q - self.anchor).max() <= self.dials.drift:
             flags |= C.DRIFT
         if order.action >= Rung.CONTROLLED_STOP and self.anchor is not None:
-            self._switch(state, now, driving=False)
+            self._switch(state, driving=False)
         return flags
 
-    def _drive(self, order: Order, state: RobotState, now: float) -> int:
+    def _drive(self, order: Order, state: RobotState) -> int:
         """Off at once for ESTOP; on again below CONTROLLED_STOP; while off, the brakes must hold."""
         if order.action >= Rung.ESTOP and self.driving:
-            self._switch(state, now, driving=False)
+            self._switch(state, driving=False)
         elif order.action < Rung.CONTROLLED_STOP and not self.driving:
-            self._switch(state, now, driving=True)
-        if self.driving or self._off_at is None:
+            self._switch(state, driving=True)
+        if self.driving or self._off_at is None or not state.stamp > self._off_at:  # nothing is known since
             return 0
         moved = np.abs(state.q - self._off_q)
-        braked = now - self._off_at > self.dials.brakes
+        braked = state.stamp - self._off_at > self.dials.brakes
         fast = braked and not np.abs(state.v).max() <= 10.0 * self.dials.rest
         return C.FALLING if fast or not (moved <= self._coast).all() else 0
 
-    def _switch(self, state: RobotState, now: float, *, driving: bool) -> None:
-        self.driving, self._off_at, self._off_q = driving, None if driving else now, state.q.copy()
+    def _switch(self, state: RobotState, *, driving: bool) -> None:
+        self.driving, self._off_at, self._off_q = driving, None if driving else state.stamp, state.q.copy()
         self._coast = self.dials.fall + self.dials.brakes * np.abs(state.v)

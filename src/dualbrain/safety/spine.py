@@ -5,6 +5,8 @@ Lockstep evaluation and the real-time gatekeeper run this same code; they differ
 
 from __future__ import annotations
 
+from math import nan
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,8 @@ Array = NDArray[np.float64]
 
 UNTOUCHED, STANDING, BRAKED = 1.0, -1.0, -2.0
 """What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
+GAP = 2.5
+"""Periods between two ticks beyond which one was late."""
 UNUSABLE = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
 
 
@@ -43,6 +47,7 @@ class Spine:
         joints = safety.body.joints
         self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
         self._pending = 0
+        self._then = nan
         self._u = np.zeros(safety.body.n)
 
     @property
@@ -72,15 +77,23 @@ class Spine:
 
     def judge(self, state: RobotState, now: float, asked: int = 0) -> Order:
         """The order for this tick, from everything flagged since the last one and what is `asked` for now."""
+        asked |= self._gap(now)
         if self.stage < 1.0:
             asked |= Condition.SPEED_STAGE
         flags, self._pending = self._pending | asked, 0
         was_driving = self.enforcement.driving
         order = self.supervisor.update(now, flags)
-        self._pending = self.enforcement.obey(order, state, now)
+        self._pending = self.enforcement.obey(order, state)
         if self.enforcement.driving and not state.drive_enabled and was_driving:
             self._pending |= Condition.DRIVE_DROPPED
         return order
+
+    def _gap(self, now: float) -> int:
+        """Bits for the time since the last tick, by the layer's own clock."""
+        gap, self._then = now - self._then, now
+        if not gap > GAP * self.watch.timing.period:  # also the first tick, and what is no number
+            return 0
+        return Condition.TICK_LOST | Condition.TICK_OVERRUN if gap > self.watch.timing.lost else Condition.TICK_OVERRUN
 
     def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> Filtered:
         """The control to write under the order in force: scaled, filtered, checked once more (`touched` says how)."""

@@ -1,0 +1,140 @@
+"""One injected episode in lockstep: a pick and place that breaks at its moment, judged by the independent monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.records import Violation
+from dualbrain.runtime.faults import Fault, FaultyRobot, FaultyWorld, Injector, break_filter, faulty_clock
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Event, Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.order import Rung
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+
+GRASP = {
+    "object": "red_cube", "speed": 0.35, "clearance": 0.15, "finger_axis": "along", "opening": 0.08,
+    "approach": "top", "wait": "none", "force": 20.0,
+}  # fmt: skip
+PLACE = {"destination": "blue_bowl", "speed": 0.35, "clearance": 0.15, "route": "direct", "wait": "none"}
+UNSAFE = ("collision_env", "collision_human", "self_collision", "joint_limit", "joint_velocity")
+"""Kinds of violation that a fault must not lead to; others (a load that was let go) are listed."""
+AT_REST = 0.02
+"""An arm whose joints are slower than this [rad/s] is touched; it does not touch."""
+SETTLE, AFTERMATH = 1.0, 0.5
+"""How long the local layer goes on after the contract, and the world after that [s]."""
+
+
+class FaultReport(msgspec.Struct, frozen=True):
+    """What a fault led to. Times in s; `reaction` from the strike to the first order that was expected or stronger.
+
+    `rest` from the strike until the arm was at rest. `unsafe` are the violations that count, each with the arm moving.
+    """
+
+    fault: str
+    scene: str
+    struck: float | None
+    expected: str
+    reached: str
+    checks: tuple[str, ...]
+    reaction: float | None
+    rest: float | None
+    outcome: str
+    reason: str
+    unsafe: tuple[Violation, ...]
+    other: tuple[Violation, ...]
+
+    @property
+    def safe(self) -> bool:
+        """Nothing unsafe happened."""
+        return not self.unsafe
+
+    @property
+    def as_declared(self) -> bool:
+        """The order that was expected came, or a stronger one; a fault whose moment never came proves nothing."""
+        return self.struck is None or Rung[self.reached] >= Rung[self.expected]
+
+
+def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
+    """Carry out a pick and place of the red cube that breaks by `fault`; nothing of it reaches a memory."""
+    body, spec = load_body(robot), open_scene(scene)
+    plant = Plant(spec, body)
+    world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])))
+    injector = Injector(fault, lambda: plant.now)
+    safety = SafetyFilter(body)
+    break_filter(safety, injector)
+
+    def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
+        world.allow(phase, roles)
+        injector.phase(phase)
+
+    told: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be what is broken
+    log = FlightLog(Trace(body.n), None, lambda event: told.append((plant.now, event)))
+    layer = LocalLayer(
+        body, FaultyRobot(plant, injector), FaultyWorld(world, injector), safety, log, LayerConfig(settle=SETTLE),
+        phase_changed=phase_changed, clock=faulty_clock(lambda: plant.now, injector),
+    )  # fmt: skip
+    contract = Contract("c-0001", Context(robot, ""), (Action("grasp", GRASP), Action("place", PLACE)))
+    watched = _Watched(plant)
+    setattr(world, "advance", watched.after(world.advance))  # noqa: B010  (an observer of truth, for this one world)
+    outcome = layer.run(contract)
+    for _ in range(round(AFTERMATH / body.period)):  # the world goes on, whatever has ended
+        world.advance()
+    struck = injector.struck
+    violations = world.judgement().violations
+    unsafe = tuple(one for one in violations if one.kind in UNSAFE and watched.moved_at(one.start))
+    expected = fault.expected(moving=spec.mover is not None)
+    orders = [(t, Rung[e.data["action"]]) for t, e in told if "action" in e.data and e.kind == "order"]
+    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - body.period]
+    reached = max([layer.spine.order.action, *(rung for _, rung in since)])
+    came = next((t for t, rung in since if rung >= expected), None) if expected else None
+    return FaultReport(
+        f"{fault.source} {fault.kind} {fault.moment}", scene, struck, expected.name, reached.name,
+        tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
+        max(0.0, came - struck) if came is not None and struck is not None else None,
+        watched.rest_after(struck), outcome.kind, outcome.reason, unsafe,
+        tuple(one for one in violations if one not in unsafe),
+    )  # fmt: skip
+
+
+class _Watched:
+    """True times and joint speeds of every period."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self._v = plant.data.qvel[plant.arm_slices[1]]
+        self.times: list[float] = []
+        self._speeds: list[float] = []
+
+    def after(self, advance: Callable[[], None]) -> Callable[[], None]:
+        """`advance`, followed by a look at the true state."""
+
+        def watched() -> None:
+            advance()
+            self.times.append(self._plant.now)
+            self._speeds.append(float(np.abs(self._v).max()))
+
+        return watched
+
+    def moved_at(self, when: float) -> bool:
+        """Whether the arm moved within the tenth of a second before `when`."""
+        t, speed = np.array(self.times), np.array(self._speeds)
+        near = (t > when - 0.1) & (t <= when + 1e-9)
+        return bool(near.any() and speed[near].max() > AT_REST)
+
+    def rest_after(self, struck: float | None) -> float | None:
+        """Time [s] from `struck` until the arm was at rest for good; None if it never was."""
+        if struck is None or not self.times or self._speeds[-1] > AT_REST:
+            return None
+        t, speed = np.array(self.times), np.array(self._speeds)
+        moving = t[speed > AT_REST]
+        return max(0.0, float(moving[-1]) - struck) if len(moving) else 0.0

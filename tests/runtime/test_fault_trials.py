@@ -1,0 +1,42 @@
+"""A sample of injected faults: the declared order comes, and the independent monitor sees nothing unsafe."""
+
+from itertools import product
+
+import pytest
+
+from dualbrain.errors import UnknownName
+from dualbrain.runtime.fault_trial import inject
+from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault
+from dualbrain.safety.order import Rung
+
+SAMPLE = [
+    ("state", "off", "closing"),
+    ("state", "garbage", "carrying"),
+    ("scene", "garbage", "closing"),
+    ("clock", "stuck", "between write and acknowledgement"),
+    ("qp", "off", "closing"),
+    ("qp", "garbage", "descending"),
+    ("drive", "stuck", "closing"),
+    ("drive", "off", "carrying"),
+]
+
+
+def test_every_fault_has_an_order_that_was_declared():
+    assert set(EXPECTED) == set(product(SOURCES, KINDS))
+    with pytest.raises(UnknownName, match="kind of fault"):
+        Fault("state", "of", "closing")
+    with pytest.raises(UnknownName, match="moment"):
+        Fault("state", "off", "never")
+    assert len(MOMENTS) == 6
+
+
+@pytest.mark.parametrize(("source", "kind", "moment"), SAMPLE)
+def test_a_fault_leads_to_its_order_and_to_nothing_unsafe(source, kind, moment):
+    report = inject(Fault(source, kind, moment), scene="bare:0")
+    assert report.struck is not None
+    assert report.as_declared, report
+    assert report.safe, report
+    assert report.rest is not None
+    assert report.rest < 1.5
+    assert Rung[report.reached] >= Rung[report.expected] > Rung.NONE
+    assert report.outcome in ("stopped", "emergency")
