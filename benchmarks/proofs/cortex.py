@@ -19,14 +19,15 @@ from dualbrain.runtime.gatekeeper.robot_process import Report
 from dualbrain.runtime.gatekeeper.seals import open_keys
 from dualbrain.runtime.gatekeeper.spawn import Plan, Process
 from dualbrain.runtime.vocabulary import PLANNER
+from dualbrain.safety.order import Rung
 from dualbrain.world.catalogue import open_scene
 from proofs.proof import Options, Row, Unit
 
 HOW = ("kill", "stop", "flood", "rubbish", "gatekeeper")
 MOMENTS = (0.3, 0.8, 1.5, 2.5, 4.0, 5.0, 6.5, 8.0)
 """Seconds after the contract began: approach, descent, grasp, carrying, lowering."""
-DECLARED = {"kill": 0.2, "stop": 0.6, "flood": 0.8, "rubbish": 0.3, "gatekeeper": 0.25}
-"""Until HOLD is ordered, or the drive is off, at most [s]."""
+DECLARED = {"kill": 0.3, "stop": 0.7, "flood": 0.8, "rubbish": 0.4, "gatekeeper": 0.25}
+"""Until HOLD (or more) is told in a heartbeat, one each 50 ms, or the drive is off, at most [s]."""
 CHILD = Path(__file__).resolve().parents[2] / "tests" / "runtime" / "gatekeeper" / "cortex.py"
 
 
@@ -62,7 +63,7 @@ class Cortex:
                 time.sleep(0.05)
             time.sleep(0.1)
             report = msgspec.json.decode((folder / "r.json").read_bytes(), type=Report)
-        if how == "gatekeeper":
+        if how == "gatekeeper" and took is not None:
             took = report.off_at - took if report.off_at is not None else None
         unsafe = [one for one in msgspec.to_builtins(report.judgement.violations) if one["kind"] != "object_dropped"]
         return {"how": how, "took": took, "again": again, "unsafe": unsafe, "travel": report.travel}
@@ -117,7 +118,7 @@ def _lose(folder: Path, process: Process, how: str, at: float) -> tuple[float | 
 
 def _until_hold(watcher: GatekeeperLink, start: float) -> float | None:
     while time.monotonic() - start < 5.0:
-        if watcher.beat and watcher.beat.action == "HOLD":
+        if watcher.beat and Rung[watcher.beat.action] >= Rung.HOLD:
             return time.monotonic() - start
         time.sleep(0.002)
     return None

@@ -76,7 +76,7 @@ class RobotProcess:
         )
         self._link, self._settings, self._period = link, settings, body.period
         self._open, self._asked_to_quit = True, False
-        self._silent_at = time.monotonic()
+        self._silent_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._off_by, self._off_q = "", self.plant.read().q
         self._slips = self._ticks = 0
@@ -119,8 +119,9 @@ class RobotProcess:
             ahead = due - time.monotonic()
 
     def _guard(self, now: float) -> None:
-        """The robot's own watchdog; it knows nothing of orders, only of silence."""
-        if self._off_at is None and (not self._open or now - self._silent_at > WATCHDOG):
+        """The robot's own watchdog: armed by the first command, it knows nothing of orders, only of silence."""
+        silent = self._armed and now - self._silent_at > WATCHDOG
+        if self._off_at is None and (silent or not self._open):
             self._cut("watchdog")
 
     def _cut(self, by: str) -> None:
@@ -147,7 +148,7 @@ class RobotProcess:
     def _obey(self, packet: bus.ToRobot) -> None:
         match packet:
             case bus.Write(u, opening, force):
-                self._silent_at = time.monotonic()
+                self._silent_at, self._armed = time.monotonic(), True
                 if len(u) == self.plant.body.n and np.isfinite([*u, opening, force]).all():
                     self.plant.write(Command(np.array(u), opening, force))
             case bus.Switch(on=False):
