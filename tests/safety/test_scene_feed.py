@@ -11,6 +11,7 @@ from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.linalg import matrix
 from dualbrain.records import Box, Pose, Sphere
 from dualbrain.safety.filter import SafetyFilter, Status
+from dualbrain.safety.native import MOST_OBSTACLES
 from dualbrain.safety.result import Reason
 from dualbrain.safety.scene_feed import Mounted, Primitive, Refused, SceneFeed, Source, Updated
 
@@ -81,8 +82,8 @@ def test_time_does_not_run_backward_and_names_are_not_used_twice():
     one.update("camera", "world", 0.1, [BALL], now=0.1)
     assert "older than the last" in one.update("camera", "world", 0.05, [BALL], now=0.1).reason
     assert "twice" in one.update("camera", "world", 0.1, [BALL, BALL], now=0.1).reason
-    many = [msgspec.structs.replace(BALL, name=f"b{i}") for i in range(60)]
-    assert "room for 48" in one.update("camera", "world", 0.1, many, now=0.1).reason
+    many = [msgspec.structs.replace(BALL, name=f"b{i}") for i in range(MOST_OBSTACLES)]
+    assert f"room for {MOST_OBSTACLES}" in one.update("camera", "world", 0.1, many, now=0.1).reason
 
 
 def test_a_frame_that_moves_serves_what_was_seen_while_it_was_there():
