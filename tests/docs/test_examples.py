@@ -130,4 +130,4 @@ def test_a_stranger_brings_a_robot_in_four_commands_and_two_minutes():
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short(path):
     assert len(path.read_text("utf-8").splitlines()) < 100
-    assert f'told("{path.stem}")' in Path(__file__).read_text("utf-8"), "an example without a test"
+    assert f'told("{path.stem}"' in Path(__file__).read_text("utf-8"), "an example without a test"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf, isfinite, nan
 
 import msgspec
 import numpy as np
@@ -245,13 +245,26 @@ def _misshapen(shapes: Sequence[Primitive]) -> str:
 
 def _fault(seen: Primitive) -> str:
     """What is wrong with the numbers of a primitive, or nothing."""
-    sizes = [value for value in msgspec.structs.astuple(seen.shape)]
-    flat = [number for size in sizes for number in (size if isinstance(size, tuple) else (size,))]
+    sizes = [_numbers(value) for value in msgspec.structs.astuple(seen.shape)]
+    flat: list[float] = [number for size in sizes for number in size]
     numbers = [*flat, *seen.pose.position, *seen.pose.quaternion, *seen.velocity, seen.error, seen.velocity_error]
-    if not all(isinstance(number, (int, float)) and isfinite(number) for number in numbers):
+    if not all(map(isfinite, numbers)):
         return "a number that is not finite"
     if min([*flat, 1.0]) < 0.0 or seen.error < 0.0 or seen.velocity_error < 0.0:
         return "a size or error below zero"
     if not abs(sum(value * value for value in seen.pose.quaternion) - 1.0) < 1e-3:
         return "a quaternion whose length is not 1"
     return ""
+
+
+def _numbers(value: object) -> tuple[float, ...]:
+    """A size or a triple of sizes; what is neither counts as not finite."""
+    match value:
+        case bool():
+            return (nan,)
+        case int() | float():
+            return (float(value),)
+        case (float() | int() as x, float() | int() as y, float() | int() as z):
+            return (float(x), float(y), float(z))
+        case _:
+            return (nan,)

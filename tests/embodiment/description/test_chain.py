@@ -1,11 +1,21 @@
 """One serial chain out of any tree: what moves, what rides where, what stands still, and what is refused."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.description.build import Wish, build_arm, identifier
+from dualbrain.embodiment.description.build import (
+    MOST_JOINTS,
+    MOST_LINKS,
+    MOST_PAIRS,
+    MOST_SPHERES,
+    Wish,
+    build_arm,
+    identifier,
+)
 from dualbrain.embodiment.description.chain import find_chain, standing
 from dualbrain.embodiment.description.urdf import read_urdf
 from dualbrain.errors import InvalidSetup, UnknownName
@@ -127,3 +137,11 @@ def test_names_become_identifiers():
         "robot",
         "a" * 32,
     ]
+
+
+def test_the_room_is_the_kernels():
+    text = (Path(__file__).resolve().parents[3] / "kernel/include/dbk/dbk_config.h").read_text()
+    room = dict(re.findall(r"#define DBK_MAX_(\w+) (\d+)", text))
+    assert [int(room[name]) for name in ("DOF", "SPHERES", "LINKS", "PAIRS")] == [
+        MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS
+    ]  # fmt: skip
