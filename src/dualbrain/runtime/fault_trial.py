@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import load_body
@@ -111,7 +112,7 @@ class _Watched:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self._v = plant.data.qvel[plant.arm_slices[1]]
+        self._v: NDArray[np.float64] = plant.data.qvel[plant.arm_slices[1]]  # pyright: ignore[reportUnknownMemberType]
         self.times: list[float] = []
         self._speeds: list[float] = []
 

@@ -112,7 +112,7 @@ def _coarse(solid: Polytope) -> Polytope:
     """About `PLANES` of the solid's planes, one a direction: by these the fit weighs bulges; nothing is proven so."""
     if len(solid.normals) <= PLANES:
         return solid
-    directions: Array = np.round(solid.normals / np.sqrt(12.0 / PLANES))
+    directions: Array = np.asarray(np.round(solid.normals / np.sqrt(12.0 / PLANES)), float)
     kept = np.unique(directions, axis=0, return_index=True)[1]
     return Polytope(solid.normals[kept], solid.offsets[kept])
 
