@@ -28,6 +28,7 @@ def test_scenes_of_level_one_are_still_those_that_were_measured():
     for family in FAMILIES:
         for seed in range(20):
             data = msgspec.to_builtins(make_scene(family, seed))
+            assert not data.pop("region"), "a table top has no region to drive in"
             found.update(repr(walk(data, rounded)).encode())
     assert found.hexdigest() == LEVEL_ONE
 
@@ -48,7 +49,8 @@ def test_fingers_fit_on_one_axis_only(seed):
     assert {int(np.argmax(np.abs(at))) for at in flanks} == {axis}
     assert flanks[0][axis] * flanks[1][axis] < 0.0
     line = next(row for row in summarise(as_specified(spec)).splitlines() if row.startswith("red_cube"))
-    assert f"free_finger_axis {('across', 'along')[axis]}" in line
+    free = f"free_finger_axis {('across', 'along')[axis]}"
+    assert free in line or " tight" in line, "a screen may stand close on the other axis too"
 
 
 @given(seeds)

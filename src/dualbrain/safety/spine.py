@@ -28,6 +28,8 @@ UNTOUCHED, STANDING, BRAKED = 1.0, -1.0, -2.0
 """What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
 GAP = 2.5
 """Periods between two ticks beyond which one was late."""
+SWITCHING = 0.3
+"""How long a drive may take to come on after it was asked for [s], by the robot's stamps."""
 UNUSABLE = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
 
 
@@ -48,6 +50,7 @@ class Spine:
         self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
         self._pending = 0
         self._then = nan
+        self._came_on, self._asked_on = True, nan
         self._u = np.zeros(safety.body.n)
 
     @property
@@ -84,9 +87,18 @@ class Spine:
         was_driving = self.enforcement.driving
         order = self.supervisor.update(now, flags)
         self._pending = self.enforcement.obey(order, state)
-        if self.enforcement.driving and not state.drive_enabled and was_driving:
+        if self.enforcement.driving and not was_driving:
+            self._came_on, self._asked_on = False, state.stamp
+        if self.enforcement.driving and self._dropped(state):
             self._pending |= Condition.DRIVE_DROPPED
         return order
+
+    def _dropped(self, state: RobotState) -> bool:
+        """Whether a drive that is wanted went off, or does not come on in time: it answers a few periods later."""
+        if state.drive_enabled:
+            self._came_on = True
+            return False
+        return self._came_on or not state.stamp - self._asked_on <= SWITCHING
 
     def _gap(self, now: float) -> int:
         """Bits for the time since the last tick, by the layer's own clock."""
