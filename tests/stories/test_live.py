@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from dualbrain.cli.main import call
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.live_session import ADDRESS, LiveSession
@@ -9,6 +11,9 @@ from dualbrain.runtime.replay import replay
 from dualbrain.runtime.session import Onlooker
 
 from .rig import contract, ledger_episodes, pause, settings, times
+
+pytestmark = pytest.mark.slow
+"""Real time: it needs a machine that does nothing else."""
 
 
 def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):

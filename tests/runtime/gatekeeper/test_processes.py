@@ -24,6 +24,9 @@ from dualbrain.world.catalogue import open_scene
 
 from .cortex import ERRAND, GRASP, contract
 
+pytestmark = pytest.mark.slow
+"""Three processes in real time, with limits of 50 ms: they need a machine that does nothing else."""
+
 HERE = Path(__file__).parent
 REST = ("hold", {"duration": 0.5})
 
