@@ -22,10 +22,13 @@ HEAVY = (
     "xllamacpp",
     "rich",
     "cyclopts",
+    "pylibfranka",
+    "rtde_control",
+    "rtde_receive",
 )
-LIGHT_ROOMS = ("contracts", "embodiment", "skills", "safety")
+LIGHT_ROOMS = ("contracts", "embodiment", "skills", "safety", "drivers")
 ROOMS = (
-    "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "runtime",
+    "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "drivers", "runtime",
     "dashboard", "cli",
 )  # fmt: skip
 

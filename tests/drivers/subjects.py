@@ -1,0 +1,37 @@
+"""Fresh subjects for the laws: the simulated arms and the fakes of two makers' interfaces."""
+
+from functools import partial
+
+from dualbrain.drivers.fake_franka import FakeFranka
+from dualbrain.drivers.fake_ur import FakeUr
+from dualbrain.drivers.franka import FrankaDriver
+from dualbrain.drivers.trial import Subject
+from dualbrain.drivers.ur import UrDriver
+from dualbrain.embodiment.body import load_body
+from dualbrain.runtime.plant_driver import PlantDriver
+
+
+def franka(body=None):
+    body = body or load_body("fr3")
+    sdk = FakeFranka(body)
+    return Subject(FrankaDriver(sdk, "fake", body), body, sdk.controller.press, sdk.controller.release)
+
+
+def ur():
+    body = load_body("ur5e")
+    sdk = FakeUr(body)
+
+    def clear():
+        while sdk.controller.stopped:
+            sdk.controller.step()
+            sdk.controller.unlock()
+
+    return Subject(UrDriver(sdk, "fake", body), body, sdk.controller.protect, clear)
+
+
+def plant(robot):
+    body = load_body(robot)
+    return Subject(PlantDriver(body), body)
+
+
+SUBJECTS = {"franka": franka, "ur": ur, "panda plant": partial(plant, "panda"), "ur5e plant": partial(plant, "ur5e")}
