@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -20,9 +21,14 @@ BEGIN, END = "<!-- figures: written by `make prove`, not by hand -->", "<!-- end
 
 
 def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
-    """Render every journal in `folder` that holds a row; pages must carry the markers."""
-    sections: list[str] = []
+    """Render every journal in `folder` that holds a row; pages must carry the markers.
+
+    The section of a proof without a journal here stays as it stands: it was rendered where its journal was.
+    """
+    sections = _standing(docs / "proofs.md")
+    order: list[str] = []
     for proof in proofs:
+        order.append(proof.name)
         rows = [row for row in Journal(folder / f"{proof.name}.jsonl").rows() if "error" not in row]
         if not rows:
             continue
@@ -33,8 +39,16 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             section = [proof.claim, "", provenance(rows), "", "Figures and plot: [learnable.md](learnable.md).", ""]
         if proof.name == "learning":
             plot_learning(rows, docs / "learning.png")
-        sections += [f"## {proof.name}", "", *section]
-    _between(docs / "proofs.md", sections)
+        sections[proof.name] = section
+    names = sorted(sections, key=lambda name: order.index(name) if name in order else len(order))
+    _between(docs / "proofs.md", [line for name in names for line in (f"## {name}", "", *sections[name], "")])
+
+
+def _standing(page: Path) -> dict[str, list[str]]:
+    """The sections between the markers of `page`, by name, in their order."""
+    _, between, _ = _parted(page)
+    _, *parts = re.split(r"^## (.+)$", between, flags=re.MULTILINE)
+    return {name: text.strip("\n").split("\n") for name, text in zip(parts[::2], parts[1::2], strict=True)}
 
 
 def provenance(rows: list[Row]) -> str:
@@ -51,7 +65,12 @@ def provenance(rows: list[Row]) -> str:
 
 
 def _between(page: Path, lines: list[str]) -> None:
-    text = page.read_text()
-    head, rest = text.split(BEGIN)
-    tail = rest.split(END)[1]
+    head, _, tail = _parted(page)
     page.write_text("\n".join([head + BEGIN, "", *lines]).rstrip() + "\n\n" + END + tail)
+
+
+def _parted(page: Path) -> tuple[str, str, str]:
+    """What stands before, between and after the markers of `page`."""
+    head, rest = page.read_text().split(BEGIN)
+    between, tail = rest.split(END)
+    return head, between, tail

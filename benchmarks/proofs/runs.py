@@ -20,6 +20,7 @@ from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
 from dualbrain.world.catalogue import open_scene
 from proofs.closed_loop import FORBIDDEN, judgement_figures, kinds, outcome_figures, outcome_words, violation_words
+from proofs.confusion import confusion_lines
 from proofs.figures import share, table
 from proofs.journal import Journal
 from proofs.proof import Options, Row, Unit
@@ -86,7 +87,8 @@ def figures(episode: Episode) -> Row:
     return {
         "answers": [[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
         "verdicts": stages, "refusals": refusals, "contract": episode.contract, "timings": episode.timings,
-        "versions": episode.versions, **outcome_figures(episode.outcome), **judgement_figures(episode.judgement),
+        "versions": episode.versions, "second_opinion": episode.second_opinion,
+        **outcome_figures(episode.outcome), **judgement_figures(episode.judgement),
     }  # fmt: skip
 
 
@@ -119,7 +121,7 @@ class Runs:
     def report(self, rows: list[Row]) -> list[str]:
         """Success by family and wording, violations by kind, every run that did not succeed."""
         lines = [f"Succeeded on truth: **{share(_good(rows), len(rows))}**; wanted: at least {WANTED} of 60.", ""]
-        lines += _breakdown(rows) + _violations(rows)
+        lines += _breakdown(rows) + confusion_lines(rows) + _violations(rows)
         lost = [row for row in rows if not row["truth"]]
         cells = ((r["key"], r["family"], r["outcome"], r["reason"], " / ".join(r["refusals"])) for r in lost)
         return lines + (table(("run", "family", "outcome", "reason", "refusals"), cells) if lost else [])
@@ -159,7 +161,7 @@ class Contrast:
         pairs = Counter((row["on"], _word(row)) for row in rows)
         head = ("filter on ↓, off →", *ENDS)
         lines += table(head, ((on, *(pairs[on, off] for off in ENDS)) for on in ENDS))
-        return [*lines, *_breakdown(rows), *_violations(rows)]
+        return [*lines, *_breakdown(rows), *confusion_lines(rows), *_violations(rows)]
 
 
 def _about(about: dict[str, Any]) -> Row:

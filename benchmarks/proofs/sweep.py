@@ -7,6 +7,7 @@ from typing import Any
 
 from dualbrain.world.scenes import make_scene
 from proofs.closed_loop import errand, fly, kinds, outcome_words, row, violation_words
+from proofs.confusion import confusion_lines
 from proofs.figures import share, table
 from proofs.learnable import FAMILIES, verdicts
 from proofs.proof import Options, Row, Unit
@@ -69,6 +70,7 @@ class Sweep:
             ),
         )  # fmt: skip
         lines += [f"Violations in {len(rows)} episodes: {dict(kinds(rows)) or 'none'}.", ""]
+        lines += confusion_lines(rows)
         hurt = [row for row in rows if row.get("violations")]
         return lines + (
             table(("episode", "outcome", "violations"), ((r["key"], r["outcome"], violation_words(r)) for r in hurt))

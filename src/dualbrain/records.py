@@ -164,6 +164,14 @@ class Exemplar(Record, frozen=True):
     parts: dict[str, float] = {}
 
 
+class Use(Record, frozen=True):
+    """What became of one recalled memory (paper 7.3): whether the planner used it, and whether that contributed."""
+
+    memory: str
+    used: bool
+    contributing: bool
+
+
 class Passage(Record, frozen=True):
     """A quotation that the planner was shown: where it stands, how far its source is trusted, what was shown of it.
 
@@ -308,3 +316,5 @@ class Episode(Record, frozen=True):
     """Ticks of the contract on which each barrier bound, by the barrier's name."""
     second_opinion: SecondOpinion = "none"
     """What another of the robot's own senses says of the outcome, apart from the skills that carried it out."""
+    uses: tuple[Use, ...] = ()
+    """What became of each exemplar in the prompt, if the planner was asked again without it."""

@@ -25,6 +25,31 @@ def test_the_page_keeps_its_words_and_gets_new_figures(tmp_path):
     assert "old" not in text
 
 
+def test_what_was_rendered_elsewhere_stays_in_its_place(tmp_path):
+    class Elsewhere(Counting):
+        name = "elsewhere"
+
+    class Later(Counting):
+        name = "later"
+
+    page = tmp_path / "proofs.md"
+    whole = "Its claim.\n\n| a | b |\n| --- | --- |\n| ## | 2 |\n\n### A part\n\n## no longer flown\n\nOld figures."
+    page.write_text(f"{BEGIN}\n\n## later\n\nold\n\n## elsewhere\n\n{whole}\n\n{END}\n")
+    for name in ("counting", "later"):
+        Journal(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
+    for _ in range(2):
+        write_documents([Counting(), Elsewhere(), Later()], tmp_path, tmp_path)
+    text = page.read_text()
+    kept, gone = whole.split("\n\n## no longer flown")
+    assert f"\n\n## elsewhere\n\n{kept}\n\n## later\n\n" in text
+    assert text.endswith(f"\n\n## no longer flown{gone}\n\n{END}\n")
+    assert [line for line in text.splitlines() if line.startswith("## ")] == [
+        "## counting", "## elsewhere", "## later", "## no longer flown",
+    ]  # fmt: skip
+    assert text.count("1 counted") == 2
+    assert "old" not in text
+
+
 def test_a_page_without_markers_is_not_written_over(tmp_path):
     (tmp_path / "proofs.md").write_text("words of a person")
     with pytest.raises(ValueError, match="unpack"):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from dualbrain.memory.audit import audit, sources
-from dualbrain.memory.curation import note_adapter, note_audit, quarantine
+from dualbrain.memory.curation import note_adapter, note_audit, note_uses, quarantine
 from dualbrain.memory.export import rows
 from dualbrain.memory.map import memory_map
 from dualbrain.memory.store import Memory
-from dualbrain.memory.utility import Use, judge, total, was_used
+from dualbrain.memory.utility import Change, judge, total, was_used
 from dualbrain.memory.verify import verify
-from dualbrain.records import Recall
+from dualbrain.records import Recall, Use
 
 from .samples import NOW, REST, contract, episode, open_ledger, open_memory
 
@@ -143,13 +143,27 @@ FOLLOWED, OTHER = _plan(1, speed=0.2), _plan(1, speed=0.4)
     ],
 )
 def test_a_memory_is_used_only_if_it_changed_the_contract_towards_it(chosen: Any, without: Any, used: bool) -> None:
-    assert was_used(FOLLOWED, chosen, without) == used
+    assert was_used(FOLLOWED, chosen, Change(chosen, without)) == used
 
 
 def test_utility_counts_what_helped() -> None:
     def use(succeeded: bool, Delta: float | None, reference: float | None) -> Use:
-        return judge("m", FOLLOWED, FOLLOWED, OTHER, succeeded=succeeded, Delta=Delta, reference=reference)
+        return judge(
+            "m", FOLLOWED, FOLLOWED, Change(FOLLOWED, OTHER), succeeded=succeeded, Delta=Delta, reference=reference
+        )
 
     uses = [use(True, 0.001, 0.002), use(True, 0.003, 0.002), use(False, 0.001, 0.002), use(True, 0.5, None)]
     assert [one.contributing for one in uses] == [True, False, False, True]
     assert (total(uses).rate, total(uses).used, total([]).rate) == (0.5, 4, None)
+
+
+def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        _clean(memory)
+        assert audit(memory).utility.rate is None
+        note_uses(memory, "b-1", [Use("a-1", used=True, contributing=True), Use("a-2", True, False)], now=NOW)
+        note_uses(memory, "b-2", [Use("a-1", used=False, contributing=False)], now=NOW)
+        found = audit(memory).utility
+        assert (found.recalled, found.used, found.contributing) == (3, 2, 1)
+        assert str(found) == "of 3 memories in prompts 2 were used, 1 contributed"

@@ -27,6 +27,7 @@ from dualbrain.cli.lookout import Lookout
 from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
 from dualbrain.memory.map import memory_map
+from dualbrain.memory.utility import total
 from dualbrain.records import Episode
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
@@ -42,7 +43,7 @@ def carry_out(
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
     consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
-    site: Path | None = None,
+    site: Path | None = None, utility: bool = False,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
@@ -51,7 +52,7 @@ def carry_out(
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
         goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
-        map=chart, eyes=eyes, site=site,
+        map=chart, eyes=eyes, site=site, utility=utility,
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
@@ -112,7 +113,7 @@ def summary(episode: Episode, out: Path) -> dict[str, Any]:
         "violations": episode.judgement.violations if episode.judgement else [],
         "contract": episode.contract, "verdict": last, "shots": len(episode.attempts),
         "delta": outcome.Delta, "intervention_frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
-        "duration": outcome.duration, "timings": episode.timings, "out": str(out),
+        "uses": episode.uses, "duration": outcome.duration, "timings": episode.timings, "out": str(out),
     }  # fmt: skip
 
 
@@ -145,6 +146,8 @@ def _tell(console: Console, finished: Finished) -> None:
                 f"[red]violation[/] {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}"
             )
         console.print(f"simulator truth: {'success' if episode.judgement.success else 'no success'}")
+    if episode.uses:
+        console.print(f"retrieval utility: {total(episode.uses)}")
     console.print(f"[dim]{finished.stored}[/]")
 
 

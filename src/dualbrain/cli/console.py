@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+from collections.abc import Collection, Iterable, Sequence
 
+from rich.cells import cell_len
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from dualbrain.contracts.safe_text import HIDDEN
+
+NARROWEST = 24
+"""Characters to which a column that gives way shrinks."""
 
 
 class Account(Console):
@@ -26,6 +36,31 @@ def answer(text: str) -> None:
         print(text, flush=True)
     except BrokenPipeError:
         abandon_stdout()
+
+
+def listing(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Collection[str] = ()) -> None:
+    """Print rows below their `heads` on stdout, each cell whole and on one line, so that names and ids can be copied.
+
+    Where the screen is too narrow, the columns in `gives` wrap; where that is not enough, lines grow longer than the
+    screen. A cell is text, never markup, and what would steer a terminal is shown as U+FFFD.
+    """
+    shown = [[plain(cell) for cell in row] for row in rows]
+    table = Table(box=None, pad_edge=False)
+    for head, *cells in zip(heads, *shown, strict=True):
+        longest = max(map(cell_len, (head, *cells)))
+        least = min(longest, NARROWEST) if head in gives else longest
+        table.add_column(head, min_width=least, overflow="fold")
+    for row in shown:
+        table.add_row(*map(Text, row))
+    console = Console(highlight=False)
+    with console.capture() as printed:
+        console.print(table, crop=False, overflow="ignore")
+    answer(printed.get().rstrip("\n"))
+
+
+def plain(text: str) -> str:
+    """`text` on one line, with what would steer a terminal or hide words shown as U+FFFD."""
+    return re.sub(f"[{HIDDEN}]", "\N{REPLACEMENT CHARACTER}", text)
 
 
 def abandon_stdout() -> None:

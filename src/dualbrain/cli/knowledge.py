@@ -12,9 +12,8 @@ import msgspec
 from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from dualbrain.cli.console import answer
+from dualbrain.cli.console import answer, listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.errors import WrongUsage
@@ -79,13 +78,7 @@ def list_documents(*, store: Store = None, json: Json = False) -> int:
     if json:
         answer(msgspec.json.encode({"documents": documents}).decode())
         return Exit.SUCCESS
-    table = Table(box=None, pad_edge=False)
-    for head in ("name", "kind", "trust", "version", "chunks", "hidden", "title"):
-        table.add_column(head, no_wrap=True, overflow="ellipsis" if head == "title" else "fold")
-    for one in documents:
-        hidden = str(sum(part.characters for part in one.hidden) or "")
-        table.add_row(one.name, one.kind, one.trust, one.version[:12], str(one.chunks), hidden, escape(one.title))
-    Console().print(table)
+    listing(("name", "kind", "trust", "version", "chunks", "hidden", "title"), map(_row, documents), gives=("title",))
     return Exit.SUCCESS
 
 
@@ -226,6 +219,11 @@ def _tell_addition(done: Addition) -> None:
         _tell(f"  left out: {hidden.characters} characters, {hidden.kind}: {hidden.sample}")
     if done.document.trust == "unknown":
         _tell("  trust unknown: it can be found, but no planner is shown it. Add it again with --trust site or vendor.")
+
+
+def _row(one: Document) -> tuple[str, ...]:
+    hidden = str(sum(part.characters for part in one.hidden) or "")
+    return (one.name, one.kind, one.trust, one.version[:12], str(one.chunks), hidden, one.title)
 
 
 def _line(one: Document) -> str:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from dualbrain.cli.console import Account, answer
+from dualbrain.cli.console import Account, answer, listing, plain
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.memory_open import encoder, limits_of, memory, reader, tell
 from dualbrain.errors import InvalidSetup, UnknownName
+
+if TYPE_CHECKING:
+    from dualbrain.memory.state import Memo
+    from dualbrain.records import Exemplar
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -52,12 +54,7 @@ def list_memories(
     if json:
         tell({"memories": shown, "total": len(wanted), "event": state.seq})
         return Exit.SUCCESS
-    table = Table("id", "stored", "outcome", "Δ", "w", "status", "source", box=None, pad_edge=False)
-    for memo in shown:
-        numbers = ("-" if memo.Delta is None else f"{memo.Delta:.4f}", f"{memo.weight:.2f}")
-        row = (memo.id, _date(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
-        table.add_row(*row)
-    Console().print(table)
+    listing(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_row, shown))
     Account().print(f"{len(shown)} of {len(wanted)} memories, at event {state.seq}")
     return Exit.SUCCESS
 
@@ -90,10 +87,12 @@ def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int
         tell({"memo": memo, "stored": stored, "history": history})
         return Exit.SUCCESS
     told = stored["episode"]
-    answer(
-        f"{name}: {told['instruction']}\n{told['summary']}\ncontract: {msgspec.json.encode(told['contract']).decode()}"
-    )
-    answer(f"outcome: {memo.kind} {told['outcome']['reason']}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
+    answer(f"{name}: {plain(told['instruction'])}")
+    for line in told["summary"].splitlines():
+        answer(plain(line))
+    answer(f"contract: {msgspec.json.encode(told['contract']).decode()}")
+    ending = f"{memo.kind} {plain(told['outcome']['reason'])}".rstrip()
+    answer(f"outcome: {ending}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
     answer(f"provenance: {msgspec.json.encode(memo.provenance).decode()}")
     for one in history:
         moved = (
@@ -164,13 +163,8 @@ def search(
     if json:
         tell(recall)
         return Exit.SUCCESS
-    table = Table("use", "rank", "R", "s", "w", "id", "instruction", "parts", box=None, pad_edge=False)
-    for use, hits in (("follow", recall.exemplars), ("avoid", recall.warnings)):
-        for hit in hits:
-            parts = " ".join(f"{name} {value:.2f}" for name, value in hit.parts.items())
-            numbers = (f"{value:.3f}" for value in (hit.score, hit.similarity, hit.weight))
-            table.add_row(use, str(hit.rank), *numbers, hit.episode_id, hit.instruction, parts)
-    Console().print(table)
+    rows = [_found("follow", hit) for hit in recall.exemplars] + [_found("avoid", hit) for hit in recall.warnings]
+    listing(("use", "rank", "R", "s", "w", "id", "instruction", "parts"), rows, gives=("instruction", "parts"))
     return Exit.SUCCESS
 
 
@@ -227,6 +221,17 @@ def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = Fa
         f"{words}; {found.memories} memories; snapshot {found.snapshot}{checked}; head {chain.head.hash[:16]}"
     )
     return Exit.SUCCESS if found.whole else Exit.FAILED_SAFELY
+
+
+def _row(memo: Memo) -> tuple[str, ...]:
+    numbers = ("-" if memo.Delta is None else f"{memo.Delta:.4f}", f"{memo.weight:.2f}")
+    return (memo.id, _date(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
+
+
+def _found(use: str, hit: Exemplar) -> tuple[str, ...]:
+    parts = " ".join(f"{name} {value:.2f}" for name, value in hit.parts.items())
+    numbers = (f"{value:.3f}" for value in (hit.score, hit.similarity, hit.weight))
+    return (use, str(hit.rank), *numbers, hit.episode_id, hit.instruction, parts)
 
 
 def _state(opened: Any, at: str) -> Any:

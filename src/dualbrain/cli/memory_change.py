@@ -5,32 +5,33 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
-from dualbrain.cli.console import Account, answer
+from dualbrain.cli.console import Account, answer, listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.memory_open import PATIENCE, config, encoder, ledger_path, memory, reader, tell
 from dualbrain.errors import InvalidSetup, UnknownName
 
+if TYPE_CHECKING:
+    from dualbrain.memory.audit import SourceReport
+
 Flag = Annotated[bool, Parameter(negative="")]
+Note = Annotated[
+    bool, Parameter(negative="--no-note", help="Write what was found into the ledger, as an event of its own.")
+]
 COMMAND = "dualbrain memory"
 
 
-def audit(*, note: Flag = False, ledger: Path | None = None, json: Flag = False) -> int:
+def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False) -> int:
     """Look for label conflicts, near-duplicates, odd verdicts, and what each source did (its blast radius).
 
     Nothing is changed. Exit code 1 if something is suspicious.
 
     Parameters
     ----------
-
-    Note:
-        Write the findings into the ledger, as an audit event.
     ledger
         Which memory; default in dualbrain's home.
     json
@@ -48,12 +49,11 @@ def audit(*, note: Flag = False, ledger: Path | None = None, json: Flag = False)
     else:
         for one in report.findings:
             answer(f"{one.kind}: {one.memory}: {one.text}" + (f" ({', '.join(one.others[:6])})" if one.others else ""))
-        table = Table("source", "memories", "weights moved", "Σ|Δw|", "adapters", box=None, pad_edge=False)
-        for one in report.sources:
-            adapters = ", ".join(one.adapters) or "-"
-            table.add_row(one.source, str(len(one.memories)), str(one.touched), f"{one.moved:.2f}", adapters)
-        Console().print(table)
+        heads = ("source", "memories", "weights moved", "Σ|Δw|", "adapters")
+        listing(heads, map(_reach, report.sources), gives=("adapters",))
     Account().print(f"{len(report.findings)} findings in {report.memories} memories")
+    if report.utility.recalled:
+        Account().print(f"retrieval utility: {report.utility}")
     return Exit.FAILED_SAFELY if report.findings else Exit.SUCCESS
 
 
@@ -143,7 +143,7 @@ def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Fl
 
 
 def replay(
-    name: str, /, *, tries: int = 5, seed: int = 0, note: Flag = True, ledger: Path | None = None, json: Flag = False
+    name: str, /, *, tries: int = 5, seed: int = 0, note: Note = True, ledger: Path | None = None, json: Flag = False
 ) -> int:
     """Run a remembered contract again in simulation, through gate and filter, and compare outcome and Δ.
 
@@ -157,9 +157,6 @@ def replay(
         How many times, each in a slightly different world.
     seed
         Everything random in it.
-
-    Note:
-        Write what was found into the ledger.
     ledger
         Which memory; default in dualbrain's home.
     json
@@ -200,9 +197,11 @@ def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
         Print one JSON object on stdout.
     """
     from dualbrain.memory.compact import swap
+    from dualbrain.memory.ledger import LedgerReader
 
     path = ledger_path(ledger)
-    before = path.stat().st_size if path.exists() else 0
+    LedgerReader(path).close()  # a command never makes a ledger
+    before = path.stat().st_size
     archive = swap(path, holder=f"{COMMAND} compact", now=time.time(), patience=PATIENCE)
     sizes = {"before": before, "after": path.stat().st_size, "archive": str(archive)}
     if json:
@@ -236,6 +235,10 @@ def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
         tell({"vectors": made})
     Account().print(f"{made} vectors made anew")
     return Exit.SUCCESS
+
+
+def _reach(one: SourceReport) -> tuple[str, ...]:
+    return (one.source, str(len(one.memories)), str(one.touched), f"{one.moved:.2f}", ", ".join(one.adapters) or "-")
 
 
 def _changed(

@@ -33,6 +33,7 @@ def run(
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     eyes: Annotated[bool, Parameter(negative="")] = False,
+    utility: Annotated[bool, Parameter(negative="")] = False,
     map: str = "",
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
@@ -72,6 +73,8 @@ def run(
         A picture of the scene, as features, becomes part of what memory compares (needs `efficientnet-lite0`).
     knowledge
         "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
+    utility
+        Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
     map
         MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names.
     live
@@ -98,5 +101,6 @@ def run(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
             consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes, site=site,
+            utility=utility,
         )
     )  # fmt: skip

@@ -19,7 +19,7 @@ from dualbrain.dashboard.numbers import KeyNumber, dimensionless, key_numbers, m
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
 from dualbrain.dashboard.plots import strip_chart
 from dualbrain.memory.map import MemoryMap
-from dualbrain.records import Attempt, Episode, Exemplar
+from dualbrain.records import Attempt, Episode, Exemplar, Use
 from dualbrain.runtime.trace import DEAD_BAND, Event, Trace
 from dualbrain.safety.barriers import BARRIERS
 
@@ -217,8 +217,10 @@ def _short(value: object) -> str:
 
 def _memory(episode: Episode, events: Sequence[Event]) -> Html:
     recall = episode.recall
-    rows = [_recalled("follow", one) for one in recall.exemplars] + [_recalled("avoid", one) for one in recall.warnings]
-    head = ("use", "rank", "instruction", "outcome", "Δ", "R", "s", "w", "episode")
+    good_for = {one.memory: _good_for(one) for one in episode.uses}
+    rows = [(*_recalled("follow", one), good_for.get(one.episode_id, "not asked")) for one in recall.exemplars]
+    rows += [(*_recalled("avoid", one), "") for one in recall.warnings]
+    head = ("use", "rank", "instruction", "outcome", "Δ", "R", "s", "w", "episode", "was it of use")
     changed = [
         (str(event.data.get("episode_id", "")), event.text, *(f"{event.data[key]:.4f}" for key in ("before", "after")))
         for event in events
@@ -231,6 +233,13 @@ def _memory(episode: Episode, events: Sequence[Event]) -> Html:
         element("h3", "Weights changed by this outcome"),
         table(("episode", "why", "w before", "w after"), changed, right=(2, 3), empty="None."),
     )
+
+
+def _good_for(one: Use) -> Html:
+    """What became of a recalled memory, by the answer that the planner gave without it."""
+    if one.contributing:
+        return badge("used, and contributed", "good")
+    return badge("used", "warn") if one.used else badge("not used", "quiet")
 
 
 def _recalled(use: str, one: Exemplar) -> Sequence[str]:

@@ -23,6 +23,7 @@ from dualbrain.knowledge.chunks import Chunk
 from dualbrain.knowledge.document import Document
 from dualbrain.knowledge.reading import Reading
 from dualbrain.knowledge.refusal import DamagedStore, StoreInUse
+from dualbrain.transaction import statements, transaction
 
 SCHEMA_VERSION = 1
 WAIT_S = 10.0
@@ -84,7 +85,7 @@ class Shelf:
         self._database.execute("PRAGMA synchronous = FULL")
         with self.transaction():
             if not self._database.execute("SELECT 1 FROM sqlite_master").fetchone():
-                for statement in _statements(_SCHEMA):
+                for statement in statements(_SCHEMA):
                     self._database.execute(statement)
 
     def _admit(self) -> None:
@@ -115,15 +116,8 @@ class Shelf:
     @contextmanager
     def transaction(self) -> Generator[None]:
         """All that is done inside is written, or nothing of it."""
-        with self._translated():
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
+        with self._translated(), transaction(self._database):
+            yield
 
     # --- what stands there --------------------------------------------------------------------------------------
 
@@ -240,14 +234,3 @@ class Shelf:
 
 def _document(data: bytes) -> Document:
     return msgspec.json.decode(data, type=Document)
-
-
-def _statements(script: str) -> list[str]:
-    """The statements of `script`; `executescript` would end the transaction."""
-    found, begun = list[str](), ""
-    for line in script.splitlines(keepends=True):
-        begun += line
-        if sqlite3.complete_statement(begun):
-            found.append(begun)
-            begun = ""
-    return found

@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 
 from dualbrain.memory.derive import effective
-from dualbrain.memory.events import ADAPTER, NEIGHBOURS, WEIGHT, AdapterUse, Neighbourhood, Weighing
+from dualbrain.memory.events import ADAPTER, NEIGHBOURS, USED, WEIGHT, AdapterUse, Neighbourhood, Uses, Weighing
 from dualbrain.memory.plans import same_plan
 from dualbrain.memory.state import Memo
 from dualbrain.memory.store import Memory
+from dualbrain.memory.utility import Utility, total
 
 BLOCK = 256
 """Rows compared at a time."""
@@ -46,18 +47,25 @@ class SourceReport(msgspec.Struct, frozen=True):
 
 
 class AuditReport(msgspec.Struct, frozen=True):
-    """All findings, most telling first, and all sources by their influence."""
+    """All findings, most telling first, all sources by their influence, and what recalled memories were good for."""
 
     memories: int
     findings: tuple[Finding, ...]
     sources: tuple[SourceReport, ...]
+    utility: Utility
 
 
 def audit(memory: Memory) -> AuditReport:
     """Look for label conflicts, near-duplicates and odd verdicts among all memories that are not set aside."""
     pairs = list(_pairs(memory, LIKE))
     findings = [*_conflicts(memory, pairs), *_duplicates(memory, pairs), *_oddities(memory)]
-    return AuditReport(len(memory), tuple(findings), sources(memory))
+    return AuditReport(len(memory), tuple(findings), sources(memory), utility(memory))
+
+
+def utility(memory: Memory) -> Utility:
+    """Memory Retrieval Utility over all runs that asked for it."""
+    told = [msgspec.json.decode(event.payload, type=Uses).uses for event in effective(memory.ledger, (USED,))]
+    return total([use for uses in told for use in uses])
 
 
 def sources(memory: Memory) -> tuple[SourceReport, ...]:

@@ -14,14 +14,17 @@ from dualbrain.memory.events import (
     REPLAYED,
     ROLLBACK,
     TOMBSTONE,
+    USED,
     AdapterUse,
     ReplayFinding,
     Rollback,
     StatusChange,
+    Uses,
 )
 from dualbrain.memory.ledger import Entry
 from dualbrain.memory.lineage import check_target
 from dualbrain.memory.store import Memory
+from dualbrain.records import Use
 
 
 def quarantine(memory: Memory, names: Sequence[str], reason: str, *, now: float, actor: str = BY_PERSON) -> None:
@@ -61,6 +64,11 @@ def note_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[str
     """Write down that `adapter` was trained on these memories, from the data set of hash `dataset`."""
     _known(memory, names)
     memory.append([Entry(ADAPTER, adapter, AdapterUse(adapter, dataset, tuple(names)))], now=now)
+
+
+def note_uses(memory: Memory, episode: str, uses: Sequence[Use], *, now: float) -> None:
+    """Write down what became of the memories that stood in the prompt of `episode`."""
+    memory.append([Entry(USED, episode, Uses(episode, tuple(uses)))], now=now)
 
 
 def note_audit(memory: Memory, report: object, *, now: float) -> None:

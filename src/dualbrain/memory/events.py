@@ -7,11 +7,12 @@ from typing import Literal
 import msgspec
 
 from dualbrain.memory.affine import Factors
+from dualbrain.records import Use
 
 EPISODE, WEIGHT, NEIGHBOURS = "episode", "weight", "neighbours"
 CONFIRM, QUARANTINE, RELEASE, TOMBSTONE = "confirm", "quarantine", "release", "tombstone"
 ROLLBACK, FOLDED, COMPACTED, SNAPSHOT = "rollback", "folded", "compacted", "snapshot"
-AUDIT, REPLAYED, ADAPTER, EXPORTED = "audit", "replayed", "adapter", "exported"
+AUDIT, REPLAYED, ADAPTER, EXPORTED, USED = "audit", "replayed", "adapter", "exported", "used"
 WEIGHS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
 """Kinds that make memories and move weights."""
 Status = Literal["active", "candidate", "quarantined", "forgotten"]
@@ -112,6 +113,13 @@ class SnapshotMark(msgspec.Struct, frozen=True):
 
     as_of: int
     sha256: str
+
+
+class Uses(msgspec.Struct, frozen=True):
+    """Payload of a used event: what became of each memory that stood in the prompt of `episode`."""
+
+    episode: str
+    uses: tuple[Use, ...]
 
 
 class AdapterUse(msgspec.Struct, frozen=True):

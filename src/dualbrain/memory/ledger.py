@@ -22,6 +22,7 @@ from dualbrain.memory.events import EPISODE
 from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.schema import MIGRATED, SCHEMA_VERSION, create, version_of
 from dualbrain.memory.writer_lock import Holder, WriterLock
+from dualbrain.transaction import transaction
 
 _COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
 
@@ -179,7 +180,7 @@ class Ledger(LedgerReader):
             event = _chained(entry, self._run if entry.run is None else clean(entry.run), now, head)
             events.append(event)
             head = Head(event.seq, event.hash)
-        with self._transaction():
+        with self._translated(), transaction(self._database):
             for event, entry in zip(events, entries, strict=True):
                 row = tuple(getattr(event, name) for name in Event.__slots__)
                 self._database.execute(f"INSERT INTO event ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
@@ -189,7 +190,7 @@ class Ledger(LedgerReader):
 
     def replace_vectors(self, vectors: Mapping[int, Vector]) -> None:
         """Put `vectors` in place of the whole projection; the events are not touched."""
-        with self._transaction():
+        with self._translated(), transaction(self._database):
             self._database.execute("DELETE FROM vector")
             for seq, vector in vectors.items():
                 self._project(seq, vector)
@@ -197,18 +198,6 @@ class Ledger(LedgerReader):
     def _project(self, seq: int, vector: Vector) -> None:
         row = (seq, vector.version, vector.data, vector.mask)
         self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
-
-    @contextmanager
-    def _transaction(self) -> Generator[None]:
-        with self._translated():
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
 
     def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
         """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Mapping
 
 from dualbrain.errors import InvalidSetup
+from dualbrain.transaction import statements, transaction
 
 SCHEMA_VERSION = 2
 MIGRATED = "migrated"
@@ -45,7 +46,9 @@ def create(database: sqlite3.Connection) -> int:
         return found
     steps = [_MIGRATIONS[version] for version in range(max(found, 1), SCHEMA_VERSION)]
     now = f"UPDATE meta SET value = '{SCHEMA_VERSION}' WHERE key = 'schema_version';"
-    database.executescript("BEGIN IMMEDIATE;" + ("" if found else _FIRST) + "".join(steps) + now + "COMMIT;")
+    with transaction(database):
+        for statement in statements("".join(("" if found else _FIRST, *steps, now))):
+            database.execute(statement)
     return found
 
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.schema import short_form
-from dualbrain.memory.utility import Use, judge
+from dualbrain.memory.utility import Change, judge
 from dualbrain.planner.prompt import render
-from dualbrain.planner.protocol import STOP, Planner
+from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Episode, Exemplar, Recall
-from dualbrain.runtime.vocabulary import scene_names, vocabulary
+from dualbrain.records import Episode, Exemplar, Recall, Use
+from dualbrain.runtime.vocabulary import scene_names
 
 
 class Counterfactuals:
@@ -24,46 +26,60 @@ class Counterfactuals:
     Assumption: the planner is deterministic (greedy decoding), as ours are; else a difference may be chance.
     """
 
-    def __init__(self, planner: Planner, cache: Path) -> None:
-        """Keep answers in the folder `cache`."""
-        self._planner, self._cache = planner, cache
+    def __init__(self, planner: Planner, registry: Registry, cache: Path) -> None:
+        """Ask for contracts of `registry`; keep answers in the folder `cache`."""
+        self._planner, self._registry, self._cache = planner, registry, cache
         cache.mkdir(parents=True, exist_ok=True)
 
-    def uses(self, episode: Episode) -> tuple[Use, ...]:
-        """What became of each exemplar that stood in the prompt of `episode`."""
-        outcome = episode.outcome
-        return tuple(
-            judge(
-                exemplar.episode_id, exemplar.contract, episode.contract, self.without(episode, exemplar),
-                succeeded=outcome.kind == "succeeded", Delta=outcome.Delta, reference=exemplar.Delta,
-            )
-            for exemplar in episode.recall.exemplars
+    def uses(self, episode: Episode, *, enough: Callable[[], bool] = lambda: False) -> tuple[Use, ...]:
+        """What became of each exemplar that stood in the prompt of `episode`, until somebody has `enough`.
+
+        Where the planner gives no answer (a crash, a timeout, an error of its server), nothing is claimed of the use.
+        """
+        first = _contract(episode.attempts[0].proposal.text) if episode.attempts else None
+        found: list[Use] = []
+        for exemplar in episode.recall.exemplars:
+            answer = None if enough() else self._ask(self.question(episode, exemplar))
+            if answer is None:
+                break
+            found.append(
+                judge(
+                    exemplar.episode_id, exemplar.contract, episode.contract, Change(first, _contract(answer)),
+                    succeeded=episode.outcome.kind == "succeeded", Delta=episode.outcome.Delta,
+                    reference=exemplar.Delta,
+                )
+            )  # fmt: skip
+        return tuple(found)
+
+    def question(self, episode: Episode, left_out: Exemplar) -> PlanRequest:
+        """The first question of `episode`, with one exemplar left out of its recall."""
+        kept = tuple(one for one in episode.recall.exemplars if one.episode_id != left_out.episode_id)
+        recall: Recall = msgspec.structs.replace(episode.recall, exemplars=kept)
+        names = scene_names(episode.scene)
+        return PlanRequest(
+            episode.instruction, episode.summary, recall, episode.robot, episode.registry,
+            short_form(self._registry, names), self._registry.decoding_schema(names), contract_id="c-0001",
         )  # fmt: skip
 
-    def without(self, episode: Episode, exemplar: Exemplar) -> dict[str, Any] | None:
-        """The contract proposed at the first shot when `exemplar` is left out; None if the answer is no JSON object."""
-        left = tuple(one for one in episode.recall.exemplars if one.episode_id != exemplar.episode_id)
-        request = _question(episode, msgspec.structs.replace(episode.recall, exemplars=left))
-        try:
-            return msgspec.json.decode(self._ask(request), type=dict[str, Any])
-        except msgspec.DecodeError:
-            return None
-
-    def _ask(self, request: PlanRequest) -> str:
+    def _ask(self, request: PlanRequest) -> str | None:
+        """The answer, "" if it was cut at its limit; None if there is none, which is not kept."""
         asked = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
         path = self._cache / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
         if path.exists():
             return str(json.loads(path.read_text())["text"])
         proposal = self._planner.propose(request)
+        if proposal.finish_reason not in (STOP, LENGTH):
+            return None
         text = proposal.text if proposal.finish_reason == STOP else ""
-        path.write_text(json.dumps({"planner": self._planner.name, "text": text}))
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps({"planner": self._planner.name, "text": text}))
+        partial.replace(path)
         return text
 
 
-def _question(episode: Episode, recall: Recall) -> PlanRequest:
-    """The first question of `episode` with another recall."""
-    registry, names = vocabulary(episode.robot), scene_names(episode.scene)
-    return PlanRequest(
-        episode.instruction, episode.summary, recall, episode.robot, registry.hash, short_form(registry, names),
-        registry.decoding_schema(names), contract_id="c-0001",
-    )  # fmt: skip
+def _contract(text: str) -> dict[str, Any] | None:
+    """The JSON object in an answer, None if there is none."""
+    try:
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return None

@@ -21,6 +21,7 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory, StoreReport
+from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal
@@ -51,7 +52,7 @@ class Errand:
     instruction: str
     seed: int
     shots: int = 2
-    exemplars: int = 3
+    exemplars: int = MAX_RECALLED
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,7 @@ class LiveSession(Session):
             out.joinpath(ADDRESS).write_text(f"{plan.socket}\n{plan.keys}\n", encoding="utf-8")
             stack.callback(out.joinpath(ADDRESS).unlink)
             episode, stored = self._live(process, onlooker)
+        episode = self._with_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
         return Finished(episode, stored, read_trace(out / "episode.mcap") or Trace(self.body.n))
 

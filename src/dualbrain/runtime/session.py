@@ -20,6 +20,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.knowledge.library import Library
 from dualbrain.knowledge.shipped import open_library
 from dualbrain.memory.config import MemoryConfig
+from dualbrain.memory.curation import note_uses
 from dualbrain.memory.encoder import MiniLmEncoder
 from dualbrain.memory.image import IMAGE_WEIGHTS, ImageEncoder
 from dualbrain.memory.ledger import Ledger
@@ -34,6 +35,7 @@ from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
 from dualbrain.records import Episode, Passage
 from dualbrain.runtime.charted import open_map, with_places
 from dualbrain.runtime.consulting import consult
+from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
@@ -83,6 +85,8 @@ class RunConfig:
     visuals: bool = True
     eyes: bool = False
     """Whether a picture of the scene is part of what memory compares (its image block)."""
+    utility: bool = False
+    """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
     static: bool = False
     """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
 
@@ -203,6 +207,7 @@ class Session:
                 episode, stored = self._episode(log, onlooker)
             finally:
                 self.plant.stop()
+        episode = self._with_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
         return Finished(episode, stored, trace)
 
@@ -238,6 +243,19 @@ class Session:
             moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
             log.note(layer.state.stamp, "memory", why, **moved)
         return episode, stored
+
+    def _with_uses(self, episode: Episode) -> Episode:
+        """The episode with what became of the memories in its prompt, if that is wanted; it is written down."""
+        if not self.config.utility or self.config.contract is not None:
+            return episode
+        kept = self.config.ledger.with_name("counterfactuals")
+        asking = Counterfactuals(self.planner, registry_of(self.body), kept)
+        uses = asking.uses(episode, enough=lambda: self._interrupted)
+        if uses:
+            episode = msgspec.structs.replace(episode, uses=uses)
+            self._keep(episode)
+            note_uses(self.memory, episode.id, uses, now=self.times.now())
+        return episode
 
     def _look_up(self, instruction: str, summary: str) -> tuple[Passage, ...]:
         """What the documents say to this, if they are to be asked."""

@@ -1,0 +1,218 @@
+"""The commands of memory, on a ledger of made-up episodes: answers, exit codes, everything that can be undone."""
+
+import json
+import shutil
+import sqlite3
+
+import pytest
+
+from dualbrain.cli import memory_open
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.memory_open import encoder, limits_of
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.memory.config import MemoryConfig
+from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.posture import Posture
+from dualbrain.memory.store import Memory
+from dualbrain.runtime.vocabulary import vocabulary
+from tests.memory.samples import NOW, episode
+from tests.stories.rig import GRASP, PLACE, contract, pause, play, settings
+
+pytestmark = pytest.mark.llm
+
+PLAN = json.loads(contract(("grasp", GRASP), ("place", PLACE)))
+LONG = "20261121T180000Z-put-the-red-cube-in-the-blue-bowl"
+SOURCE = "qwen2.5-coder-1.5b-instruct with an adapter of a long name"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A ledger with three successes and one failure that contradicts them."""
+    path = tmp_path_factory.mktemp("home") / "ledger.sqlite"
+    home = at_home(load_body("panda"))
+    with Ledger(path, holder="a test", now=NOW) as ledger:
+        memory = Memory(ledger, encoder(), MemoryConfig(limits_of("panda")))
+        for name, kind in (("a", "succeeded"), ("b", "succeeded"), (LONG, "succeeded"), ("odd", "failed")):
+            one = episode(
+                name,
+                kind,
+                robot="panda",
+                registry=vocabulary("panda").hash,
+                plan=PLAN,
+                Delta=0.001,
+                by=f"{SOURCE} {name}",
+            )
+            memory.store(one, Posture(tuple(home.q.tolist()), home.opening), now=NOW)
+    return path
+
+
+@pytest.fixture
+def filled(made, tmp_path):
+    """A copy of it, to be changed."""
+    return shutil.copy(made, tmp_path / "ledger.sqlite")
+
+
+@pytest.fixture
+def ask(tell, filled):
+    """`dualbrain memory … --json`; returns (exit code, the printed object)."""
+
+    def run(*words):
+        code, out, _ = tell("memory", *words, "--ledger", filled, "--json")
+        return code, json.loads(out)
+
+    return run
+
+
+def _weights(ask):
+    return {row["id"]: (row["weight"], row["status"]) for row in ask("list")[1]["memories"]}
+
+
+def test_memory_can_be_looked_at(ask):
+    code, told = ask("list", "--outcome", "succeeded", "--limit", "2")
+    assert (code, [row["id"] for row in told["memories"]], told["total"]) == (Exit.SUCCESS, [LONG, "b"], 3)
+    assert ask("list", "--at", "1")[1]["total"] == 1
+    assert ask("show", "a")[1]["memo"]["provenance"]["skills"] == ["grasp", "place"]
+    found = ask("search", "put the red cube in the bowl", "--scene", "bare:0", "--k", "2")[1]
+    assert [hit["rank"] for hit in found["exemplars"]] == [1, 2]
+    assert set(found["exemplars"][0]["parts"]) >= {"instruction", "summary", "state"}
+    assert ask("verify", "--vectors")[1] | {"chain": None} == {
+        "whole": True, "memories": 4, "snapshot": "none", "vectors_wrong": 0, "chain": None,
+    }  # fmt: skip
+
+
+def test_names_can_be_copied_from_a_narrow_listing(tell, filled, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = tell("memory", "list", "--ledger", filled)
+    assert code == Exit.SUCCESS
+    (row,) = (line for line in out.splitlines() if LONG in line)
+    assert row.rstrip().endswith(f"{SOURCE} {LONG}")
+    out = tell("memory", "search", "put the red cube in the bowl", "--scene", "bare:0", "--ledger", filled)[1]
+    assert sum(LONG in line for line in out.splitlines()) == 1
+    assert tell("memory", "show", LONG, "--ledger", filled)[1].startswith(f"{LONG}: put the red cube in the bowl\n")
+
+
+def test_what_is_changed_can_be_undone(ask):
+    before, (code, report) = _weights(ask), ask("audit")
+    assert (code, {one["memory"] for one in report["findings"]}) == (Exit.FAILED_SAFELY, {"odd"})
+    assert ask("quarantine", "odd", "--reason", "contradicted")[0] == Exit.SUCCESS
+    after = _weights(ask)
+    assert after["odd"][1] == "quarantined"
+    assert all(after[name][0] > before[name][0] for name in ("a", "b", LONG))
+    assert ask("audit")[0] == Exit.SUCCESS
+    ask("release", "odd", "--reason", "a mistake")
+    assert _weights(ask) == before
+    mark = ask("list")[1]["event"]
+    ask("forget", "a", "--reason", "asked for")
+    assert _weights(ask)["a"][1] == "forgotten"
+    ask("rollback", mark, "--reason", "not meant")
+    assert _weights(ask) == before
+    assert ask("compact")[1]["after"] > 0
+    assert _weights(ask) == before
+    assert ask("rebuild")[1] == {"vectors": 4}
+    assert ask("verify")[1]["snapshot"] == "agrees"
+
+
+def test_memories_can_be_taken_away_as_lines(tell, filled, tmp_path):
+    code, out, _ = tell("memory", "export", "--ledger", filled)
+    assert code == Exit.SUCCESS
+    assert [json.loads(line)["id"] for line in out.splitlines()] == ["a", "b", LONG, "odd"]
+    assert tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)[0] == Exit.SUCCESS
+    assert (tmp_path / "all.jsonl").read_text() == out
+    code, out, err = tell("memory", "export", tmp_path / "all.jsonl", "--ledger", filled)
+    assert (code, out) == (Exit.SETUP, "")
+    assert "File exists" in err
+
+
+def test_an_audit_and_a_replay_are_written_down_if_wanted(tell, filled, ask):
+    head = ask("list")[1]["event"]
+    assert tell("memory", "audit", "--ledger", filled)[0] == Exit.FAILED_SAFELY
+    assert ask("list")[1]["event"] == head
+    code, out, err = tell("memory", "audit", "--note", "--ledger", filled)
+    assert code == Exit.FAILED_SAFELY
+    assert "label conflict: odd: " in out
+    assert "1 findings in 4 memories" in err
+    assert ask("list")[1]["event"] == head + 1
+
+    code, told = ask("replay", "a", "--tries", "2", "--no-note")  # nothing stood in its scene, so the gate refuses it
+    assert (code, told["agrees"], told["outcomes"]) == (Exit.FAILED_SAFELY, False, ["refused", "refused"])
+    assert ask("list")[1]["event"] == head + 1
+    assert ask("replay", "odd", "--tries", "1")[0] == Exit.SUCCESS
+    assert ask("show", "odd")[1]["history"][-1]["kind"] == "replayed"
+
+
+def test_a_memory_of_a_real_run_stands_when_it_is_replayed(tell, tmp_path):
+    config = settings(tmp_path, "one", instruction="rest a little")
+    play(config, pause(0.5))
+    code, out, err = tell("memory", "replay", "one", "--tries", "1", "--ledger", config.ledger)
+    assert (code, out) == (Exit.SUCCESS, "")
+    assert "one (succeeded): stands; 1 of 1 tries ended as remembered" in err
+
+
+NOT_THERE = "is not a memory of this ledger"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("show", "nothing"), NOT_THERE),
+        (("replay", "nothing"), NOT_THERE),
+        (("quarantine", "nothing", "--reason", "x"), NOT_THERE),
+        (("release", "nothing", "--reason", "x"), NOT_THERE),
+        (("forget", "a", "nothing", "--reason", "x"), NOT_THERE),
+        (("forget", "--reason", "x"), "memories: got 'none', allowed: at least one id"),
+        (("forget", "a", "--reason", " "), "reason: got ' '"),
+        (("rollback", "9999", "--reason", "x"), "rollback target: got 9999"),
+        (("replay", "a", "--tries", "0"), "tries: got 0"),
+        (("list", "--at", "yesterday"), "time: got 'yesterday', allowed: ISO 8601"),
+    ],
+)
+def test_what_cannot_be_done_is_told_and_nothing_is_changed(tell, filled, words, says):
+    before = _events(filled)
+    code, out, err = tell("memory", *words, "--ledger", filled)
+    assert (code, out) == (Exit.SETUP, "")
+    assert says in err
+    assert _events(filled) == before
+
+
+def _events(path):
+    with sqlite3.connect(path) as database:
+        return database.execute("SELECT hash FROM event ORDER BY seq").fetchall()
+
+
+def test_a_ledger_that_is_not_there_is_not_made(tell, tmp_path):
+    for words in (("rebuild",), ("list",), ("compact",), ("forget", "a", "--reason", "x")):
+        code, out, err = tell("memory", *words, "--ledger", tmp_path / "none.sqlite")
+        assert (code, out) == (Exit.SETUP, "")
+        assert "made by the first `dualbrain run`" in err
+        assert not list(tmp_path.glob("none*"))
+
+
+def test_a_changed_event_is_found_and_memory_refused(tell, filled):
+    with sqlite3.connect(filled) as database:
+        database.execute("DROP TRIGGER event_is_never_changed")
+        database.execute("UPDATE event SET payload = replace(payload, 'red cube', 'red cub3') WHERE seq = 1")
+    code, out, err = tell("memory", "verify", "--ledger", filled, "--json")
+    assert (code, json.loads(out)["whole"]) == (Exit.FAILED_SAFELY, False)
+    assert "broken at 1: its content does not match its hash" in err
+    code, out, err = tell("memory", "audit", "--ledger", filled)
+    assert (code, out) == (Exit.SETUP, "")
+    assert "its content does not match its hash" in err
+
+
+def test_what_is_no_ledger_is_told(tell, tmp_path):
+    (tmp_path / "words.sqlite").write_text("words of a person, " * 100)
+    for words in (("list",), ("verify",), ("compact",)):
+        code, out, err = tell("memory", *words, "--ledger", tmp_path / "words.sqlite")
+        assert (code, out) == (Exit.SETUP, "")
+        assert "file is not a database" in err
+
+
+def test_who_writes_is_named_and_reading_goes_on(tell, filled, monkeypatch):
+    monkeypatch.setattr(memory_open, "PATIENCE", 0.0)
+    with Ledger(filled, holder="dualbrain run tuesday", now=NOW):
+        code, out, err = tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)
+        assert (code, out) == (Exit.SETUP, "")
+        assert "(dualbrain run tuesday)" in err
+        assert tell("memory", "list", "--ledger", filled)[0] == Exit.SUCCESS
+    assert tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)[0] == Exit.SUCCESS
