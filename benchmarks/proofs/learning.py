@@ -7,10 +7,12 @@ but the table.
 
 from __future__ import annotations
 
-import shutil
+import json
+import re
 import tempfile
 import time
-from collections.abc import Callable
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +28,11 @@ from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
 from dualbrain.runtime.vocabulary import vocabulary
 from proofs.closed_loop import errand
+from proofs.confusion import confusion_lines
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit
 from proofs.runs import GOAL, planner_of
+from proofs.steps import carry_on
 
 SCENES, SEEDS, REPETITIONS, FIRST = ("tall:301", "tabletop:302", "shelf:303"), 5, 30, 6
 WORDS = "put the red cube in the bowl"
@@ -36,8 +40,9 @@ GRID: dict[str, tuple[Any, ...]] = {
     "clearance": (0.1, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
     "route": ("direct", "near_base", "left", "right"), "opening": (0.07, 0.08),
 }  # fmt: skip
-DAY_S = 40.0
-"""Made-up time between two repetitions [s]."""
+BEGAN, BETWEEN_S = 1_795_000_000.0, 240.0
+"""Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
+LEDGER, TOLD = "ledger.sqlite", "episodes.json"
 
 
 class Learning:
@@ -50,40 +55,33 @@ class Learning:
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """Seed by seed, scene by scene, both arms."""
+        """Scene by scene, seed by seed, both arms; ten units are one scene."""
         return [
             Unit(
                 f"{scene} seed {seed} {arm}, {options.planner}",
-                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": REPETITIONS},
+                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": REPETITIONS,
+                 "folder": str(options.folder / "learning")},
             )
-            for seed in range(SEEDS) for scene in SCENES for arm in ("dynamic", "static")
+            for scene in SCENES for seed in range(SEEDS) for arm in ("dynamic", "static")
         ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
-        """The start, then the repetitions; the ledger's head stands in the row."""
-        planner = planner_of(about["planner"])
-        with tempfile.TemporaryDirectory(prefix="dualbrain-learning-") as folder:
-            ledger = Path(folder) / "ledger.sqlite"
-            clock = _Clock()
-            for number, actions in enumerate(start_contracts(about["seed"])):
-                _play(ledger, about, GivenContract("start", _contract(actions)), f"s-{number}", clock, static=True)
-            shutil.copy(ledger, Path(folder) / "start.sqlite")
-            done = [
-                figures(_play(ledger, about, planner, f"r-{number}", clock, static=about["arm"] == "static"))
-                for number in range(about["repetitions"])
-            ]
-            with LedgerReader(ledger) as reader:
-                head, state = reader.head(), derive(reader)
-                parted = separation(reader)
+        """The start, which both arms share, then the repetitions; the ledger's head stands in the row.
+
+        Each episode is a step of its own: stopped and begun again, a unit goes on with the next one.
+        """
+        folder, told = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
+        place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
+        planner, arm = planner_of(about["planner"]), f"{place} {about['arm']}, {_plain(about['planner'])}"
+        start = carry_on(folder / f"{place} start", FIRST, lambda number, here: _begin(here, about, number))
+        repeat = partial(_repeat, about=about, planner=planner)
+        last = carry_on(folder / arm, about["repetitions"], repeat, start=start)
+        with LedgerReader(last / LEDGER) as reader:
+            head, state = reader.head(), derive(reader)
+            parted = separation(reader)
         weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memos}
-        return {
-            **about,
-            "episodes": done,
-            "ledger": head.hash,
-            "events": head.seq,
-            "weights": weights,
-            "parted": parted,
-        }
+        seen = json.loads((last / TOLD).read_text())
+        return {**told, "episodes": seen, "ledger": head.hash, "events": head.seq, "weights": weights, "parted": parted}
 
     def brief(self, row: Row) -> str:
         """First and last thirds."""
@@ -107,7 +105,8 @@ class Learning:
                     )
         head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
         picture = ["![Δ, decision time and R over repetitions](learning.png)", ""]
-        return table(head, lines) + picture
+        episodes = [one for row in rows for one in row["episodes"]]
+        return [*table(head, lines), *confusion_lines(episodes), *picture]
 
 
 def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
@@ -155,29 +154,38 @@ def separation(ledger: LedgerReader) -> list[list[float]]:
     return curve
 
 
-class _Clock:
-    """Made-up dates: repetitions follow each other, whatever the machine does."""
-
-    def __init__(self) -> None:
-        self.now = 1_795_000_000.0
-
-    def __call__(self) -> float:
-        self.now += DAY_S
-        return self.now
+def _begin(here: Path, about: dict[str, Any], number: int) -> None:
+    """One contract of the start, in the ledger at `here`; it teaches nothing yet."""
+    actions = start_contracts(about["seed"])[number]
+    _play(here / LEDGER, about, GivenContract("start", _contract(actions)), f"s-{number}", number, static=True)
 
 
-def _play(
-    ledger: Path, about: dict[str, Any], planner: Planner, name: str, clock: Callable[[], float], *, static: bool
-) -> Episode:
+def _repeat(number: int, here: Path, about: dict[str, Any], planner: Planner) -> None:
+    """One repetition, and what it leaves for the row."""
+    static, turn = about["arm"] == "static", FIRST + number
+    episode = _play(here / LEDGER, about, planner, f"r-{number}", turn, static=static)
+    file = here / TOLD
+    told = json.loads(file.read_text()) if file.exists() else []
+    file.write_text(json.dumps([*told, figures(episode)]))
+
+
+def _play(ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool) -> Episode:
+    """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
             WORDS, Path(folder) / name, ledger, folders.cache(), scene=about["scene"], goal=GOAL, visuals=False,
             seed=seed, static=static,
         )  # fmt: skip
-        times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", clock)
+        dates = count(BEGAN + turn * BETWEEN_S, 1.0)
+        times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
         with Session(config, times, {}, planner) as session:
             return session.run(Onlooker()).episode
+
+
+def _plain(name: str) -> str:
+    """`name` as a part of a file name."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name)
 
 
 def _contract(actions: list[dict[str, Any]]) -> bytes:

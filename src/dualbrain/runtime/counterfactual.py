@@ -29,7 +29,6 @@ class Counterfactuals:
     def __init__(self, planner: Planner, registry: Registry, cache: Path) -> None:
         """Ask for contracts of `registry`; keep answers in the folder `cache`."""
         self._planner, self._registry, self._cache = planner, registry, cache
-        cache.mkdir(parents=True, exist_ok=True)
 
     def uses(self, episode: Episode, *, enough: Callable[[], bool] = lambda: False) -> tuple[Use, ...]:
         """What became of each exemplar that stood in the prompt of `episode`, until somebody has `enough`.
@@ -71,6 +70,7 @@ class Counterfactuals:
         if proposal.finish_reason not in (STOP, LENGTH):
             return None
         text = proposal.text if proposal.finish_reason == STOP else ""
+        self._cache.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".partial")
         partial.write_text(json.dumps({"planner": self._planner.name, "text": text}))
         partial.replace(path)

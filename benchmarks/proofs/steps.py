@@ -1,0 +1,38 @@
+"""A long unit in steps: each leaves a whole folder, so that a unit that was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+
+def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start: Path | None = None) -> Path:
+    """Do what is left of `steps` steps in `folder`; returns the folder that the last one left.
+
+    `do(number, here)` works in a copy of what the step before left, or of `start`, or in an empty folder. Only whole
+    steps count: one that was killed, or raised, is done again from its beginning. Another process that wants the same
+    steps waits for them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        whole = sorted(folder.glob("step-*"))
+        last = whole[-1] if whole else None
+        for number in range(_number(last), steps):
+            partial = folder / "partial"
+            shutil.rmtree(partial, ignore_errors=True)
+            shutil.copytree(last or start, partial) if last or start else partial.mkdir()
+            do(number, partial)
+            last = partial.rename(folder / f"step-{number + 1:04d}")
+        for old in folder.glob("step-*"):
+            if old != last:
+                shutil.rmtree(old)
+    assert last is not None, "a unit has at least one step"
+    return last
+
+
+def _number(last: Path | None) -> int:
+    """How many steps are done."""
+    return int(last.name.removeprefix("step-")) if last else 0

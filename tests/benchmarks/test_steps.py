@@ -1,0 +1,48 @@
+import threading
+
+import pytest
+from proofs.steps import carry_on
+
+
+def note(number, here):
+    file = here / "told"
+    file.write_text((file.read_text() if file.exists() else "") + f"{number} ")
+
+
+def test_each_step_goes_on_from_the_one_before(tmp_path):
+    assert (carry_on(tmp_path, 3, note) / "told").read_text() == "0 1 2 "
+    assert (carry_on(tmp_path, 5, note) / "told").read_text() == "0 1 2 3 4 "
+    assert [path.name for path in tmp_path.glob("step-*")] == ["step-0005"]
+
+
+def test_a_step_that_broke_is_done_again_and_nothing_of_it_stays(tmp_path):
+    def breaks(number, here):
+        note(number, here)
+        if number == 2:
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        carry_on(tmp_path, 4, breaks)
+    assert (carry_on(tmp_path, 4, note) / "told").read_text() == "0 1 2 3 "
+
+
+def test_a_start_is_copied_and_stays_as_it_is(tmp_path):
+    begun = carry_on(tmp_path / "start", 1, note)
+    for name in ("one", "other"):
+        assert (carry_on(tmp_path / name, 2, note, start=begun) / "told").read_text() == "0 0 1 "
+    assert (begun / "told").read_text() == "0 "
+
+
+def test_two_that_want_the_same_steps_do_them_once(tmp_path):
+    done = []
+
+    def slow(number, here):
+        done.append(number)
+        note(number, here)
+
+    both = [threading.Thread(target=carry_on, args=(tmp_path, 20, slow)) for _ in range(2)]
+    for one in both:
+        one.start()
+    for one in both:
+        one.join()
+    assert done == list(range(20))
