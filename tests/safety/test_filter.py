@@ -361,6 +361,15 @@ def test_wrong_programs_are_told(safety):
         SafetyFilter(PANDA, weight=-np.eye(7))
 
 
+def test_an_obstacle_steeper_than_the_tracking_budget_is_refused(panda):
+    """The rows keep the tracking error of the filter's own gain: a steeper row would promise what was not kept."""
+    steep = Obstacle("wall", Box((0.02, 1, 1)), Pose((0.8, 0, 0.5)), alpha=panda.alpha * 1.01)
+    with pytest.raises(InvalidSetup, match="'wall'"):
+        SafetyFilter(panda).observe([steep])
+    SafetyFilter(panda).observe([Obstacle("wall", steep.shape, steep.pose, alpha=panda.alpha)])
+    SafetyFilter(panda, scenes.config(tracking_error=0.01)).observe([steep])
+
+
 def test_a_permit_for_what_is_not_there_lifts_nothing(safety, panda, at):
     safety.permit([Contact("fingers", "gone", 0.1)])
     _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 1500)

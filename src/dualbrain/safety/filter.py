@@ -15,7 +15,7 @@ from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.safety.batch import Batch, run_batch
 from dualbrain.safety.config import FilterConfig
-from dualbrain.safety.native import make_kernel, obstacle_rows, tool_frame
+from dualbrain.safety.native import make_kernel, obstacle_rows, steepest, tool_frame
 from dualbrain.safety.obstacles import Obstacle, Separation
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.result import Filtered, Names, Status
@@ -65,6 +65,7 @@ class SafetyFilter:
         self._anew = self._mobile or bool(self._barriers)
         self._rows: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
+        self._steepest = steepest(body, self.config) if self.config.tracking_error is None else np.inf
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
         self._permits: tuple[Contact, ...] = ()
@@ -84,6 +85,7 @@ class SafetyFilter:
     def observe(self, obstacles: Sequence[Obstacle], stamp: float = 0.0) -> None:
         """Replace the obstacle table by what was seen at `stamp` [s]; a non-finite number in it stops the robot."""
         obstacles = (*obstacles, *self._standing)
+        self._check_gains(obstacles)
         self._kernel.set_obstacles(obstacle_rows(obstacles, self._parts))
         self._obstacles, self._stamp = obstacles, stamp
         self._names = msgspec.structs.replace(
@@ -92,6 +94,16 @@ class SafetyFilter:
             barriers=tuple(thing.barrier for thing in obstacles),
         )
         self._apply_permits()
+
+    def _check_gains(self, obstacles: Sequence[Obstacle]) -> None:
+        """What the rows keep for tracking was measured up to the filter's own largest gain."""
+        for thing in obstacles:
+            if thing.alpha is not None and thing.alpha > self._steepest:
+                raise InvalidSetup(
+                    f"alpha of obstacle {thing.name!r}", got=thing.alpha,
+                    allowed=f"at most {self._steepest:.6g} 1/s, up to where the rows keep the tracking error",
+                    fix="Raise FilterConfig.alpha, or give FilterConfig.tracking_error for this gain.",
+                )  # fmt: skip
 
     def constrain(self, rows: Sequence[Row]) -> None:
         """Rows a'u ≥ b that hold from now on, until others are given: at most 16 with those of the live barriers."""

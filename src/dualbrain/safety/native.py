@@ -73,8 +73,12 @@ def tracking_error(body: Body, config: FilterConfig) -> float:
     """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
     if config.tracking_error is not None:
         return config.tracking_error
-    gains = (config.alpha, config.alpha_self, config.alpha_joint)
-    return body.tracking.budget(max(_alpha(body, config, gain) for gain in gains))
+    return body.tracking.budget(steepest(body, config))
+
+
+def steepest(body: Body, config: FilterConfig) -> float:
+    """The largest gain α [1/s] of the filter's own rows."""
+    return max(_alpha(body, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
 
 
 def _alpha(body: Body, config: FilterConfig, own: float | None) -> float:

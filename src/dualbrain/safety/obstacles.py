@@ -29,8 +29,8 @@ class Obstacle(msgspec.Struct, frozen=True):
 
     `margin` [m] inflates it (position error), `velocity_error` [m/s] bounds the error of the velocity and grows the
     margin with the age of the observation. `known` things are those φ respects by projection; `static` ones may be
-    seen long ago. `rank` says what is given up last; `alpha` [1/s] replaces the filter's; only `parts` of the robot
-    (groups, links, "held"; none: all) are kept away; `barrier` is the name of the barrier it belongs to.
+    seen long ago. `rank` says what is given up last; `alpha` [1/s] replaces the filter's by a lesser one; only `parts`
+    of the robot (groups, links, "held"; none: all) are kept away; `barrier` is the name of the barrier it belongs to.
     """
 
     name: str
