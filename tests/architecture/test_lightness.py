@@ -28,8 +28,8 @@ HEAVY = (
 )
 LIGHT_ROOMS = ("contracts", "embodiment", "skills", "safety", "drivers")
 ROOMS = (
-    "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "drivers", "runtime",
-    "dashboard", "cli",
+    "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "drivers", "adaptation",
+    "runtime", "dashboard", "cli",
 )  # fmt: skip
 
 
@@ -56,6 +56,11 @@ def test_a_light_room_loads_nothing_heavy(room):
     if room == "embodiment":
         found -= {"matplotlib"}
     assert not found
+
+
+def test_choosing_what_to_learn_needs_no_torch():
+    names = [name for name in modules("adaptation") if not name.endswith(".fitting")]
+    assert not loaded_by("import dualbrain.cli.adapt, " + ", ".join(names)) & {"torch", "transformers", "mujoco"}
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -50,6 +50,7 @@ app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a record
 app.command("dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="The spinal cord as a process.")
 app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="A person's hand on a gatekeeper.")
 app.command("dualbrain.cli.fault:fault", name="fault", help="Break one thing at the worst moment, and look.")
+app.command("dualbrain.cli.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),

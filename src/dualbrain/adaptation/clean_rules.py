@@ -1,0 +1,94 @@
+"""D_clean (paper 6.1): which episodes may teach, and for each other one the first reason why it may not."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from statistics import median
+
+import msgspec
+
+from dualbrain.adaptation.candidate import Candidate
+from dualbrain.contracts.canonical_contract import canonical_contract
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.errors import InvalidSetup
+from dualbrain.memory.plasticity import Plasticity
+
+PRINCIPAL = "planner"
+
+
+class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """D_clean = {i : valid, r_i = 1, Δ_i ≤ ε}, of memories that are believed, and not much slower than their kind.
+
+    `epsilon` is the memory's own ε. `slowest` is how many times the median duration of the successes of its family
+    (its skills in order) an episode may take; dawdling keeps Δ low and must not be learnt.
+    """
+
+    epsilon: float = Plasticity().epsilon
+    slowest: float = 1.5
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidSetup` for an ε below 0 or a limit that would leave out the median."""
+        if not 0.0 <= self.epsilon < math.inf:
+            raise InvalidSetup("epsilon", got=self.epsilon, allowed="at least 0")
+        if not self.slowest >= 1.0:
+            raise InvalidSetup("slowest", got=self.slowest, allowed="at least 1")
+
+
+def select(
+    found: Sequence[Candidate], registry: Registry, rules: CleanRules
+) -> tuple[list[Candidate], dict[str, list[str]]]:
+    """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
+
+    Every contract is judged again by today's gate, so that what is taught is what is accepted now. The verdict r is the
+    robot's own; simulator truth is not in the ledger.
+    """
+    gate = Gate(registry, {PRINCIPAL: frozenset(registry.by_name)})
+    left_out = defaultdict[str, list[str]](list)
+    good: list[Candidate] = []
+    for one in found:
+        if reason := _why_not(one, registry, rules) or _refused(one, registry, gate):
+            left_out[reason].append(one.memo.id)
+        else:
+            good.append(one)
+    limits = _limits(good, rules.slowest)
+    for one in good:
+        if one.duration > limits[one.family]:
+            left_out[f"slower than {rules.slowest:g} times the median of its family"].append(one.memo.id)
+    return [one for one in good if one.duration <= limits[one.family]], dict(left_out)
+
+
+def _why_not(one: Candidate, registry: Registry, rules: CleanRules) -> str:
+    """The first rule that excludes `one` by what the ledger says of it; "" if none does."""
+    memo = one.memo
+    checks = (
+        (memo.robot == registry.robot, "of another robot"),
+        (memo.status == "active", f"{memo.status} in memory"),
+        (memo.kind == "succeeded", f"outcome {memo.kind}"),
+        (memo.registry == registry.hash, "of another registry"),
+        (one.filtered, "flown without the safety filter"),
+        (bool(one.instruction.strip()), "without an instruction"),
+        (memo.Delta is not None and 0.0 <= memo.Delta <= rules.epsilon, f"Δ above {rules.epsilon:g}"),
+        (math.isfinite(one.duration), "without a duration"),
+    )
+    return next((reason for holds, reason in checks if not holds), "")
+
+
+def _refused(one: Candidate, registry: Registry, gate: Gate) -> str:
+    """Why the gate would refuse the contract today; "" if it would not."""
+    if one.contract is None or not all(action.skill in registry.by_name for action in one.contract.action_sequence):
+        return "without a contract of this vocabulary"
+    text = canonical_contract(one.contract, registry).encode()
+    verdict = gate.check(text, names=one.names, principal=PRINCIPAL, now=0.0)
+    return f"refused by the gate: {verdict.stage}" if isinstance(verdict, Rejected) else ""
+
+
+def _limits(good: Sequence[Candidate], slowest: float) -> dict[tuple[str, ...], float]:
+    """The longest duration [s] of each family."""
+    durations = defaultdict[tuple[str, ...], list[float]](list)
+    for one in good:
+        durations[one.family].append(one.duration)
+    return {family: slowest * median(values) for family, values in durations.items()}

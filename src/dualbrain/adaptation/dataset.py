@@ -1,0 +1,113 @@
+"""A data set on disk: two files of lines and a card that says what they are, named by a hash of their bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.adaptation.curate import Curated, Curation
+from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.sample import Sample, from_lines, to_lines
+from dualbrain.contracts.registry import Registry
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.planner.short_prompt import short_template_hash
+
+TRAIN, HELD_OUT, CARD = "train.jsonl", "held_out.jsonl", "dataset.json"
+FORM = "conversational prompt-completion, JSON lines"
+
+
+class DatasetCard(msgspec.Struct, frozen=True):
+    """What a data set is, where it came from and what was left out; `hash` is over the bytes of both files.
+
+    `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
+    `merged` those that a near-duplicate stands for. `sources` counts the samples by who proposed them. `prompt` is the
+    hash of the prompt's template, `registry` that of the vocabulary.
+    """
+
+    hash: str
+    form: str
+    robot: str
+    registry: str
+    prompt: str
+    ledger: str
+    event: int
+    memories: int
+    train: int
+    held_out: int
+    shown: int
+    scenes: int
+    merged: int
+    left_out: dict[str, int]
+    sources: dict[str, int]
+    epsilon: float
+    slowest: float
+    most_repeats: int
+    share_held_out: float
+    salt: str
+
+
+class Dataset(msgspec.Struct, frozen=True):
+    """A data set as read back."""
+
+    card: DatasetCard
+    train: tuple[Sample, ...]
+    held_out: tuple[Sample, ...]
+
+
+def dataset_of(curated: Curated, registry: Registry, dials: Curation) -> Dataset:
+    """The data set with its card."""
+    rows = (*curated.train, *curated.held_out)
+    card = DatasetCard(
+        dataset_hash(to_lines(curated.train), to_lines(curated.held_out)), FORM, registry.robot, registry.hash,
+        short_template_hash(), curated.head.hash, curated.head.seq, curated.memories,
+        len(curated.train), len(curated.held_out), sum(row.repeats for row in curated.train),
+        len({row.scene for row in rows}), curated.merged,
+        {reason: len(names) for reason, names in curated.left_out.items()},
+        dict(sorted(Counter(row.source for row in rows).items())), dials.rules.epsilon, dials.rules.slowest,
+        dials.most_repeats, dials.held_out, dials.salt,
+    )  # fmt: skip
+    return Dataset(card, curated.train, curated.held_out)
+
+
+def dataset_hash(train: bytes, held_out: bytes) -> str:
+    """SHA-256 over the hashes of both files: neither can be changed, nor a line moved from one to the other."""
+    parts = hashlib.sha256(train).digest() + hashlib.sha256(held_out).digest()
+    return hashlib.sha256(parts).hexdigest()
+
+
+def write_dataset(dataset: Dataset, folder: Path) -> None:
+    """Write both files and, last, the card; a folder that holds another data set is refused."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if (folder / CARD).exists() and read_card(folder).hash != dataset.card.hash:
+        raise InvalidSetup("data set folder", got="another data set", allowed="an empty folder", fix=str(folder))
+    write_durably(folder / TRAIN, to_lines(dataset.train))
+    write_durably(folder / HELD_OUT, to_lines(dataset.held_out))
+    write_durably(folder / CARD, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
+
+
+def read_card(folder: Path) -> DatasetCard:
+    """The card in `folder`; raises `MissingPart` if there is none, `InvalidSetup` if it cannot be read."""
+    path = folder / CARD
+    if not path.is_file():
+        raise MissingPart(f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`.")
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
+    except msgspec.DecodeError as error:
+        raise InvalidSetup(
+            "data set card", got=str(error), allowed="as this program writes it", fix=str(path)
+        ) from error
+
+
+def read_dataset(folder: Path) -> Dataset:
+    """The data set in `folder`; raises `InvalidSetup` if a file is not the one that the card names."""
+    card = read_card(folder)
+    train, apart = (folder / TRAIN).read_bytes(), (folder / HELD_OUT).read_bytes()
+    if (got := dataset_hash(train, apart)) != card.hash:
+        raise InvalidSetup(
+            "hash of the data set", got=got, allowed=card.hash, fix=f"A file was changed: make it anew. {folder}"
+        )
+    return Dataset(card, from_lines(train), from_lines(apart))

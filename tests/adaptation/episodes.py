@@ -1,0 +1,77 @@
+"""Small episodes of the Panda, and ledgers of them, that the tests of this room share."""
+
+import msgspec
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.verdict import Accepted
+from dualbrain.memory.config import MemoryConfig
+from dualbrain.memory.embedding import EmbeddingConfig
+from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.ledger import Ledger, LedgerReader
+from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.posture import Posture, PostureLimits
+from dualbrain.memory.store import Memory
+from dualbrain.records import Attempt, Box, Episode, Outcome, Place, Pose, Proposal, Recall, Scene, SceneObject
+from dualbrain.runtime.vocabulary import vocabulary
+
+REGISTRY = vocabulary("panda")
+NOW = 1_800_000_000.0
+LIMITS = tuple(PostureLimits(name, (-3.0,), (3.0,), 0.08) for name in ("panda", "ur5e"))
+CONFIG = MemoryConfig(limits=LIMITS, embedding=EmbeddingConfig(features=16), plasticity=Plasticity(kappa=0.0))
+GRASP = {
+    "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",
+    "wait": "none", "force": 15.0,
+}  # fmt: skip
+PLACE = {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
+
+
+def pick(*, id="c-0001", registry=REGISTRY.hash, robot="panda", **changed):
+    """A contract that grasps and places; `changed` parameters of the grasp."""
+    steps = [{"skill": "grasp", "params": GRASP | changed}, {"skill": "place", "params": PLACE}]
+    return {"id": id, "context": {"robot": robot, "registry": registry}, "action_sequence": steps}
+
+
+def scene(*, x=0.5, y=0.0, robot="panda", other=""):
+    """A cube at (x, y) and a bowl."""
+    cube = SceneObject("red_cube", "object", Box((0.02, 0.02, 0.02)), Pose((x, y, 0.02)))
+    bowl = SceneObject("blue_bowl", "container", Box((0.1, 0.1, 0.05)), Pose((0.4, 0.3, 0.0)))
+    more = (SceneObject(other, "object", Box((0.02, 0.02, 0.02)), Pose((0.6, 0.2, 0.02))),) if other else ()
+    return Scene(robot, 0.0, 1, (cube, bowl, *more), (Place("table_left", (0.5, 0.3, 0.0)),))
+
+
+def summary(symbols="path_max_height none", number=0):
+    things = f"red_cube: object, {symbols}\nblue_bowl: container"
+    return f"robot panda; holding nothing\n{things}\nperson: none\nplaces: p{number}"
+
+
+def episode(
+    name, kind="succeeded", *, Delta=0.001, duration=10.0, words="put the red cube in the bowl", told=None, seen=None,
+    plan=None, by="smollm2-135m-instruct", versions=None, opinion="agrees", robot="panda", registry=REGISTRY.hash,
+):  # fmt: skip
+    contract = plan or pick(robot=robot, registry=registry)
+    proposal = Proposal("{}", "stop", by, "nobody", {"total": 0.1})
+    verdict = Accepted(msgspec.convert(contract, Contract))
+    return Episode(
+        name, "2027-01-15T08:00:00Z", words, robot, registry, 1, seen or scene(), told or summary(), Recall(),
+        (Attempt(proposal, verdict, 1e-4),), contract, Outcome(kind, "", Delta, duration=duration), None, {"plan": 1.0},
+        {"dualbrain": "0", "filter": "on"} if versions is None else versions, second_opinion=opinion,
+    )  # fmt: skip
+
+
+def remember(folder, episodes, then=lambda memory: None):
+    """A ledger of `episodes` in `folder`, opened for reading, after `then` was done to the memory."""
+    path = folder / "ledger.sqlite"
+    with Ledger(path, holder="a test", now=NOW) as ledger:
+        memory = Memory(ledger, HashingEncoder(32), CONFIG)
+        for one in episodes:
+            memory.store(one, Posture((0.0,), 0.04), now=NOW)
+        then(memory)
+    return LedgerReader(path)
+
+
+def several(n, **same):
+    """`n` clean episodes in scenes of their own."""
+    return [
+        episode(f"e{i}", seen=scene(x=0.3 + 0.1 * (i % 4), y=-0.4 + 0.1 * (i // 4)), told=summary(number=i), **same)
+        for i in range(n)
+    ]

@@ -1,0 +1,65 @@
+"""dualbrain adapt: a dry run says what would teach and what not and why; an export can be read by others."""
+
+import json
+
+import pytest
+
+from dualbrain.adaptation.dataset import read_dataset
+from dualbrain.cli.exits import Exit
+from dualbrain.memory.ledger import LedgerReader
+from tests.adaptation.episodes import episode, remember, several, summary
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    failed = episode("bad", "failed", told=summary(number=99))
+    remember(tmp_path, [*several(8), failed]).close()
+    return tmp_path / "ledger.sqlite"
+
+
+def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
+    with LedgerReader(ledger) as opened:
+        head = opened.head()
+    before = {path.name for path in tmp_path.iterdir()}
+    code, out, err = tell("adapt", "--dry-run", "--export", "set")
+    assert (code, out) == (Exit.SUCCESS, "")
+    assert "left out: 1 outcome failed" in err
+    assert "of 9 memories" in err
+    assert {path.name for path in tmp_path.iterdir()} == before
+    with LedgerReader(ledger) as opened:
+        assert opened.head() == head
+
+
+def test_json_names_every_memory_once(tell, ledger):
+    code, out, _ = tell("adapt", "--dry-run", "--json")
+    told = json.loads(out)
+    names = [row["memory"] for row in told["samples"]] + [name for all_ in told["left_out"].values() for name in all_]
+    assert code == Exit.SUCCESS
+    assert sorted(names) == sorted([*(f"e{i}" for i in range(8)), "bad"])
+    assert {row["part"] for row in told["samples"]} == {"train", "held_out"}
+
+
+def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
+    assert tell("adapt", "--export", "set")[0] == Exit.SUCCESS
+    lines = (tmp_path / "set" / "train.jsonl").read_text().splitlines()
+    for line in map(json.loads, lines):
+        assert line["prompt"][-1]["role"] == "user"
+        assert [turn["role"] for turn in line["completion"]] == ["assistant"]
+        json.loads(line["completion"][0]["content"])
+    assert len(read_dataset(tmp_path / "set").train) == len(lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--ledger", "none.sqlite"), "none.sqlite"),
+        (("--config", "none.toml"), "none.toml"),
+        (("--robot", "nobody"), "nobody"),
+        (("--robot", "ur5e"), "of another robot"),
+    ],
+)
+def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
+    code, out, err = tell("adapt", "--dry-run", *arguments)
+    assert (code, out) == (Exit.SETUP, "")
+    assert word in err
+    assert "Traceback" not in err
