@@ -113,7 +113,10 @@ class SelfPairs(msgspec.Struct, frozen=True):
 
 
 class Body(msgspec.Struct, frozen=True):
-    """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`."""
+    """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`.
+
+    `gain` [1/s] bounds the filter's α where it must be below what the acceleration limits alone can follow.
+    """
 
     name: str
     source: str
@@ -130,6 +133,7 @@ class Body(msgspec.Struct, frozen=True):
     tool_speed: Bound
     base: Literal["fixed", "differential"] = "fixed"
     other_drives: tuple[Tracking, ...] = ()
+    gain: Bound | None = None
 
     @property
     def n(self) -> int:
@@ -148,8 +152,9 @@ class Body(msgspec.Struct, frozen=True):
 
     @property
     def alpha(self) -> float:
-        """Largest class-K gain that the acceleration limits can follow: min_i a_i / v_i [1/s]."""
-        return min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
+        """Largest class-K gain that braking can follow: min_i a_i / v_i, and no more than `gain` [1/s]."""
+        followed = min(joint.acceleration.value / joint.velocity.value for joint in self.joints)
+        return min(followed, self.gain.value) if self.gain else followed
 
     def driven_by(self, drive: str) -> Body:
         """This body with the tracking model of another of its drives; raises `UnknownName` with the identified ones."""

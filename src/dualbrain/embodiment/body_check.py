@@ -44,6 +44,8 @@ def faults(body: Body) -> Iterator[Fault]:
     yield from _sphere_faults(body)
     if not 0.0 < body.period <= 1.0:
         yield "period", body.period, "above 0, at most 1 s"
+    if body.gain is not None and not body.gain.value > 0.0:
+        yield "gain", body.gain.value, "above 0"
     if len(body.home) != (3 if body.base == "differential" else body.n):
         yield "home", list(body.home), f"{body.n} values, or x, y, heading of a base"
 

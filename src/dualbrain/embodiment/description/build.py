@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.body import Body, BodySphere, Bound, Gripper, Joint, Link, Tool, Vector
 from dualbrain.embodiment.description.chain import Chain, find_chain
 from dualbrain.embodiment.description.cover import FULL, QUICK, Fit, fit_all
+from dualbrain.embodiment.description.gain import curved_gain
 from dualbrain.embodiment.description.home import find_home
 from dualbrain.embodiment.description.pairs import sampled_pairs
 from dualbrain.embodiment.description.policy import Missing, MissingLimits, Policy, joint_bounds, whole_bound
@@ -92,6 +93,7 @@ def build_arm(tree: Tree, policy: Policy, wish: Wish, tell: Tell = lambda _: Non
         name=wish.name or identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
         spheres=spheres_of(cover), self_pairs=pairs, tool=_tool(chain, links), gripper=no_gripper(), home=home.posture,
         tracking=not_identified(), period=period.value, tool_speed=tool_speed,
+        gain=curved_gain(joints, links, cover, np.random.default_rng(wish.seed)),
     )  # fmt: skip
     notes = [*tree.notes, f"home {home.provenance}", f"control period {period.value:g} s: {period.provenance}"]
     if chain.locked:

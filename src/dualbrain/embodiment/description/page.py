@@ -63,7 +63,8 @@ def bound_rows(body: Body) -> list[tuple[str, str, str, str]]:
         for side in ("lower", "upper", "velocity", "acceleration", "jerk")
         if (bound := getattr(joint, side)) is not None
     ]
-    return [*rows, ("robot", "tool speed", _value(body.tool_speed), body.tool_speed.provenance)]
+    whole = (("tool speed", body.tool_speed), ("gain α", body.gain))
+    return [*rows, *(("robot", side, _value(bound), bound.provenance) for side, bound in whole if bound is not None)]
 
 
 def _value(bound: Bound) -> str:
