@@ -14,12 +14,13 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.registry import open_planner
 from dualbrain.records import Scene
-from dualbrain.world.arrival import At
+from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import EXACT, Perception
+from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.task import Goal
+from dualbrain.world.task import goal_of
 from proofs.closed_loop import FORBIDDEN, fly, judgement_figures, kinds, outcome_words, row, succeeded, violation_words
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
@@ -62,14 +63,11 @@ class Robots:
         if about["planner"]:
             return {**_planned(spec, about), **_about(about)}
         actions = template(_seen(spec), words)
-        flight = fly(spec, actions, seed=spec.seed, goal=goal(words))
-        truth = judgement_figures(flight.judgement)["truth"]
+        flight = fly(spec, actions, seed=spec.seed, goal=None if words == LOOK else goal_of(words, spec))
+        figures = {**row(flight), **_about(about), "actions": actions}
         if words == LOOK and flight.outcome is not None:
-            away = flight.plant.tool_pose()[0][:2] - np.array(flight.plant.truth("blue_bowl").position[:2])
-            truth = bool(np.linalg.norm(away) < NEAR)
-        figures = row(flight)
-        shape = [[action["skill"], sorted(action["params"])] for action in actions]
-        return {**figures, **_about(about), **({"truth": truth} if figures["valid"] else {}), "shape": shape}
+            figures["truth"] = looks(flight.plant)
+        return figures
 
     def brief(self, row: Row) -> str:
         """How it ended."""
@@ -81,15 +79,13 @@ class Robots:
         bad = [r for r in rows if not (r.get("valid") and succeeded(r)) or _forbidden(r)]
         cells = ((r["key"], outcome_words(r), violation_words(r) or "none") for r in bad)
         lines += table(("not as claimed", "outcome", "violations"), cells) if bad else ["No exception."]
-        return [*lines, "", f"Arms' template contracts have the same skills and parameters: **{_alike(rows)}**."]
+        return [*lines, "", *_compared(rows), "", *_registries()]
 
 
-def goal(words: str) -> Goal | At | None:
-    """What an instruction means on truth; None for a look."""
-    return {
-        PUT: Goal("red_cube", "blue_bowl"), BRING: Goal("red_cube", "table_left"), "go to the shelf": At("shelf"),
-        "bring yourself to the charger": At("charger"),
-    }.get(words)  # fmt: skip
+def looks(plant: Plant) -> bool:
+    """Whether the tool is over the bowl, on truth."""
+    away = plant.tool_pose()[0][:2] - np.array(plant.truth("blue_bowl").position[:2])
+    return bool(np.linalg.norm(away) < NEAR)
 
 
 def template(scene: Scene, words: str) -> list[dict[str, Any]]:
@@ -128,28 +124,31 @@ def _about(about: dict[str, Any]) -> Row:
 
 
 def _planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
-    """The whole loop as `dualbrain run` has it, with a memory of its own that is empty."""
+    """The whole loop as `dualbrain run` has it, with a memory of its own that is empty; judged by the instruction."""
     import time  # noqa: PLC0415
 
     from dualbrain.cli.folders import cache  # noqa: PLC0415
     from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times  # noqa: PLC0415
     from proofs.closed_loop import outcome_figures  # noqa: PLC0415
 
-    del spec
+    words = about["instruction"]
     with tempfile.TemporaryDirectory() as folder:
         config = RunConfig(
-            about["instruction"], Path(folder) / "run", Path(folder) / "ledger.sqlite", cache(), about["robot"],
-            about["scene"], about["planner"], visuals=False,
+            words, Path(folder) / "run", Path(folder) / "ledger.sqlite", cache(), about["robot"],
+            about["scene"], about["planner"], visuals=False, goal="" if words == LOOK else words,
         )  # fmt: skip
         times = Times(time.monotonic, "2026-01-01T00:00:00+00:00", time.time)
         with Session(config, times, {}, _planner(about["planner"])) as session:
             episode = session.run(Onlooker()).episode
+            looked = words == LOOK and looks(session.plant)
+    timings = {"shots": len(episode.attempts), "timings": msgspec.to_builtins(episode.timings)}
     if episode.contract is None:
-        return {"valid": False, "reason": episode.outcome.reason, "truth": False, "violations": []}
-    figures = {**outcome_figures(episode.outcome), **judgement_figures(episode.judgement)}
-    if about["instruction"] == LOOK:
-        figures["truth"] = episode.outcome.kind == "succeeded"
-    return {"valid": True, **figures, "contract": episode.contract}
+        return {"valid": False, "reason": episode.outcome.reason, "truth": False, "violations": [], **timings}
+    figures = {**outcome_figures(episode.outcome), **judgement_figures(episode.judgement), **timings}
+    if words == LOOK:
+        figures["truth"] = looked
+    contract = msgspec.to_builtins(episode.contract)
+    return {"valid": True, **figures, "context": contract["context"], "actions": contract["action_sequence"]}
 
 
 _PLANNERS: dict[str, Planner] = {}
@@ -180,11 +179,43 @@ def _counts(rows: list[Row]) -> list[tuple[str, ...]]:
     return cells
 
 
-def _alike(rows: list[Row]) -> str:
-    """In how many pairs of an instruction and a scene the arms' contracts have the same shape."""
-    shapes: dict[str, set[bytes]] = {}
-    for r in rows:
-        if "shape" in r and r["robot"] in ARMS:
-            key = r["key"].replace(r["robot"], "arm", 1)
-            shapes.setdefault(key, set()).add(msgspec.json.encode(r["shape"]))
-    return share(sum(len(found) == 1 for found in shapes.values()), len(shapes))
+def _compared(rows: list[Row]) -> list[str]:
+    """How many of the arms' pairs of contracts, for one instruction in one scene, have the same skills and values."""
+    lines: list[str] = []
+    for planned, word in ((False, "template"), (True, "planner")):
+        pairs: dict[str, list[list[dict[str, Any]]]] = {}
+        for r in rows:
+            if "actions" in r and r["robot"] in ARMS and r["planned"] == planned:
+                pairs.setdefault(r["key"].replace(r["robot"], "arm", 1), []).append(r["actions"])
+        both = [pair for pair in pairs.values() if len(pair) == len(ARMS)]
+        if both:
+            shapes = sum(_shape(one) == _shape(other) for one, other in both)
+            values = sum(one == other for one, other in both)
+            lines.append(
+                f"Arms' contracts by the {word} for the same words in the same scene: same skills and parameters in "
+                f"**{share(shapes, len(both))}**, same values as well in **{share(values, len(both))}**."
+            )
+    return lines
+
+
+def _shape(actions: list[dict[str, Any]]) -> list[tuple[str, list[str]]]:
+    return [(action["skill"], sorted(action["params"])) for action in actions]
+
+
+def _registries() -> list[str]:
+    """Where the two arms' registries differ in what gives contracts their meaning, entry by entry."""
+    first, other = (_entries(msgspec.json.decode(vocabulary(name).canonical())["skills"]) for name in ARMS)
+    differing = [
+        f"{key} ({first.get(key)} and {other.get(key)})"
+        for key in {**first, **other} if first.get(key) != other.get(key)
+    ]  # fmt: skip
+    return [f"Of {len(first)} entries, {' and '.join(ARMS)}'s registries differ in: {'; '.join(differing) or 'none'}."]
+
+
+def _entries(value: Any, path: str = "") -> dict[str, Any]:
+    """Every leaf under its path."""
+    if not isinstance(value, dict):
+        return {path: value}
+    return {
+        key: one for name, inner in value.items() for key, one in _entries(inner, f"{path}.{name}".lstrip(".")).items()
+    }
