@@ -51,10 +51,14 @@ class Robots:
     claim = "The same instructions succeed on every body without a collision; contracts differ in registry and bounds."
 
     def units(self, options: Options) -> list[Unit]:
-        """Template contracts first; then the same with the planner's own, where one is named."""
+        """Template contracts first; then the same with the planner's own, where one is named.
+
+        The planner's go robot by robot, because it reads each robot's rules once and keeps only the last it read.
+        """
         units = [Unit(_key("template", **about), {**about, "planner": ""}) for about in _abouts()]
         if options.planner:
-            units += [Unit(_key("planned", **about), {**about, "planner": options.planner}) for about in _abouts()]
+            by_robot = sorted(_abouts(), key=lambda about: list(INSTRUCTIONS)[::-1].index(about["robot"]))
+            units += [Unit(_key("planned", **about), {**about, "planner": options.planner}) for about in by_robot]
         return units
 
     def run(self, about: dict[str, Any]) -> Row:
