@@ -40,6 +40,8 @@ INSTRUCTIONS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 GRIP = 20.0
 """Grip force that every gripper here has [N]."""
+PATIENCE = 3600.0
+"""With the planner, so that a busy machine is not taken for a planner that cannot [s]."""
 NEAR = 0.06
 """The tool looks at a thing from above when it is within this of it in the plane [m]."""
 
@@ -165,7 +167,7 @@ def _planner(name: str) -> Planner:
 
         prefixes = cache() / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)
-        _PLANNERS[name] = open_planner(name, cache(), key="", prefixes=prefixes)
+        _PLANNERS[name] = open_planner(name, cache(), key="", timeout_s=PATIENCE, prefixes=prefixes)
     return _PLANNERS[name]
 
 

@@ -22,7 +22,9 @@ def test_it_tells_the_model_and_what_to_do_with_it(tell):
 
 
 def test_the_help_says_what_it_is_for(tell):
-    assert "identify measures how it follows" in " ".join(tell("robot", "--help")[1].split())
+    listed = " ".join(tell("robot", "--help")[1].split())
+    assert "identify measures how it follows" in listed
+    assert "identify Measure how well a robot's drive follows its commands." in listed
     out = tell("robot", "identify", "--help")[1]
     for word in ("y = q + lag v", "leaky integral", "--load", "FilterConfig(tracking_error=...)"):
         assert word in " ".join(out.split())

@@ -33,15 +33,7 @@ def identify(
     json: Annotated[bool, Parameter(negative="")] = False,
     write: Path | None = None,
 ) -> int:
-    """Identify the tracking model of a robot: its lag, and how far it strays from it.
-
-    The safety filter trusts that y = q + lag v moves at the velocity u it lets through. This command drives the
-    simulated robot at full speed and acceleration (sines, bang-bang, and straight at the nearest limit), once with an
-    empty hand and once with a load it is not told of, and finds the lag that explains the most and the error e that is
-    left: the largest leaky integral of ẏ − u over all joints and runs, times 1.25. Rows then keep α e.
-
-    `dualbrain robot identify --write my_panda.json` puts the figures into a body's data file, which is made if need be.
-    For a real arm give the filter your own measurement: `FilterConfig(tracking_error=...)`.
+    """Identify the tracking model of a robot: its lag, and how far it strays from it (what it does: cli/main.py).
 
     Parameters
     ----------

@@ -35,6 +35,7 @@ def init(
     velocity: float | None = None,
     period: float | None = None,
     tool_speed: float | None = None,
+    grip: str = "",
     base: Literal["fixed", "differential"] = "fixed",
     wheels: str = "",
     turn: float | None = None,
@@ -78,6 +79,8 @@ def init(
         Control period [s].
     tool_speed
         Greatest speed of the tool [m/s]; of a base along its way.
+    grip
+        LEAST,GREATEST grip force [N] of two fingers that slide; the greatest may be left to the description.
     base
         differential: a base that drives, its upper parts standing still, instead of an arm.
     wheels
@@ -106,7 +109,7 @@ def init(
     wish = Wish(name, start, tip, tool, _locks(lock), quick, spheres, seed, _home(home))
     options = {
         "acceleration": acceleration, "velocity": velocity, "period": period, "tool_speed": tool_speed, "turn": turn,
-        "turn_acceleration": turn_acceleration,
+        "turn_acceleration": turn_acceleration, **_grip(grip),
     }  # fmt: skip
     policy = policy_of(read_site(site) if site else None, options)
     tree = read_description(description, packages)
@@ -193,6 +196,17 @@ def _home(given: str) -> tuple[float, ...] | None:
         return tuple(float(value) for value in given.split(",")) if given else None
     except ValueError:
         raise WrongUsage("--home", got=given, allowed="numbers separated by commas") from None
+
+
+def _grip(given: str) -> dict[str, float]:
+    """Least and greatest grip force [N], as far as they are given."""
+    try:
+        values = [float(value) for value in given.split(",")] if given else []
+    except ValueError:
+        values = [0.0]
+    if len(values) > 2 or any(not value > 0.0 for value in values):
+        raise WrongUsage("--grip", got=given, allowed="LEAST or LEAST,GREATEST, above 0 N")
+    return dict(zip(("grip_force_min", "grip_force"), values, strict=False))
 
 
 def _pair(wheels: str) -> tuple[str, str] | None:

@@ -1,7 +1,8 @@
 """The facts of a Franka Research 3 with the Franka hand: the Panda's frames and housings, its own limits.
 
-The maker gives the FR3's velocity limits as functions of the joint's position, and beside them a box inside which the
-velocities below are always allowed; this is that box.
+The maker gives the FR3's velocity limits as functions of the joint's position (libfranka, rate_limiting.h), and beside
+them rectangles of position and velocity that lie inside; these are the rectangles. Compared with the documentation of
+2025-08-14 and with libfranka of 2026-06-17: the same in all figures.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ SOURCE: str = (
     + panda.SOURCE
 )
 LICENCE: str = panda.LICENCE
-FCI = "Franka FCI documentation, limits of the Franka Research 3, box of constant velocity limits"
+FCI = "Franka FCI documentation, limits for Franka Research 3: suggested position-velocity rectangular limits"
+FCI_ACCELERATION = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointAcceleration"
+FCI_JERK = "Franka FCI documentation, limits for Franka Research 3; libfranka kMaxJointJerk"
 
 # of every joint: from, to [rad], and how fast [rad/s]
 LIMITS = (
@@ -53,8 +56,8 @@ def joints() -> tuple[Joint, ...]:
         Joint(
             f"fr3_joint{i}", joint.translation, joint.quaternion,
             Bound(lower, "rad", f"{FCI}: fr3_joint{i}"), Bound(upper, "rad", f"{FCI}: fr3_joint{i}"),
-            Bound(velocity, "rad/s", f"{FCI}: fr3_joint{i}"), Bound(ACCELERATION, "rad/s^2", FCI),
-            Bound(JERK, "rad/s^3", FCI),
+            Bound(velocity, "rad/s", f"{FCI}: fr3_joint{i}"), Bound(ACCELERATION, "rad/s^2", FCI_ACCELERATION),
+            Bound(JERK, "rad/s^3", FCI_JERK),
         )
         for i, (joint, (lower, upper, velocity)) in enumerate(zip(panda.joints(), LIMITS, strict=True), start=1)
     )  # fmt: skip

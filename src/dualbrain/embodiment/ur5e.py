@@ -23,7 +23,9 @@ SOURCE: str = (
 LICENCE: str = "MIT (airo-models), BSD-3-Clause (Universal_Robots_ROS2_Description)"
 URDF = "ur5e.urdf"
 SHEET = "UR5e technical data sheet"
-NONE_PUBLISHED = "site policy; the maker publishes no limit, the torque limits allow it"
+NONE_PUBLISHED = (
+    "site policy; the maker publishes no limit; at rest it takes at most 86 % of any joint's torque in the model"
+)
 
 R = sqrt(0.5)
 HALF_TURN_Z: Quaternion = (0.0, 0.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""α of a described arm: with it an approach at half the full speed can be braked for along the arc, with more it cannot."""
+"""α of a described arm: with it a fast approach can be braked for along the arc, with more it cannot."""
 
 import msgspec
 import numpy as np
@@ -68,7 +68,8 @@ def test_braking_keeps_clear_at_this_gain_and_not_at_twice_the_straight_one():
     assert approaches(v, a, 2.0 * a / v, np.random.default_rng(1))[:, 1].min() < 0.0
 
 
-def test_speed_and_curvature_are_bounds(rng=np.random.default_rng(3)):
+def test_speed_and_curvature_are_bounds():
+    rng = np.random.default_rng(3)
     joints, links, cover = planar(2.0, 10.0)
     reach = np.array([3.0, 2.0, 1.0]) * LENGTH  # stretched out
     V = 2.0 * reach.sum()

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body, BodySphere, Bound, Gripper, Joint, Link, Tool, Vector
+from dualbrain.embodiment.body import Body, BodySphere, Bound, Gripper, Joint, Link, SelfPairs, Tool, Vector
 from dualbrain.embodiment.description.chain import Chain, find_chain
 from dualbrain.embodiment.description.cover import FULL, QUICK, Fit, fit_all
 from dualbrain.embodiment.description.gain import curved_gain
+from dualbrain.embodiment.description.gripper import Hand, find_hand
 from dualbrain.embodiment.description.home import find_home
-from dualbrain.embodiment.description.pairs import sampled_pairs
+from dualbrain.embodiment.description.pairs import Sampled, sampled_pairs
 from dualbrain.embodiment.description.policy import Missing, MissingLimits, Policy, joint_bounds, whole_bound
 from dualbrain.embodiment.description.report import LinkReport, Report
 from dualbrain.embodiment.description.shapes import joined, moved
@@ -35,7 +36,8 @@ SURFACE = 600
 """Points on each link's shapes by which pairs are looked at."""
 IMPORTANCE = {"base": 0.35, "arm": 1.0, "hand": 1.6, "fingers": 2.5}
 """How much tighter a group is covered: a bulge of a finger costs grasps, one of the bolted base next to nothing."""
-NO_GRIPPER = "no gripper known"
+TIGHTER, TIGHTER_ROUNDS = 1.7, 3
+"""How much tighter parts are covered that press on each other, and how often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +81,18 @@ def build_arm(tree: Tree, policy: Policy, wish: Wish, tell: Tell = lambda _: Non
     joints, period, tool_speed = _bounded(tree, chain, policy)
     links, shapes = parts(tree, chain)
     tell(f"{len(joints)} joints, {len(shapes)} parts with shapes; fitting spheres")
-    fits = _fit(links, shapes, wish)
-    cover = {link.name: fits[link.name].balls for link in links}
     rng = np.random.default_rng([wish.seed, len(links)])
-    tell("sampling pairs of parts")
-    surfaces = {name: surface_points(joined(meshes), SURFACE, rng) for name, meshes in shapes.items()}
-    pairs = sampled_pairs(joints, links, cover, surfaces, count=3000 if wish.quick else 20_000, rng=rng)
+    fits, pairs = _fit_with_room(joints, links, shapes, wish, rng, tell)
+    cover = {link.name: fits[link.name].balls for link in links}
     if len(pairs.kept) > MOST_PAIRS:
         raise InvalidSetup("pairs of parts that are kept apart", got=len(pairs.kept), allowed=f"at most {MOST_PAIRS}")
     floor = min((float(mesh.vertices[:, 2].min()) for mesh in shapes.get(chain.base, ())), default=-np.inf)
     home = find_home(joints, links, cover, pairs, wish.home, floor, rng)
+    hand = find_hand(tree, chain, policy.robot, keep_tool=bool(wish.tool))
     body = Body(
         name=wish.name or identifier(tree.name), source=tree.source, licence=tree.licence, joints=joints, links=links,
-        spheres=spheres_of(cover), self_pairs=pairs, tool=_tool(chain, links), gripper=no_gripper(), home=home.posture,
+        spheres=spheres_of(cover), self_pairs=pairs, tool=_tool(chain, links, hand),
+        gripper=hand.gripper if isinstance(hand, Hand) else no_gripper(hand), home=home.posture,
         tracking=not_identified(), period=period.value, tool_speed=tool_speed,
         gain=curved_gain(joints, links, cover, np.random.default_rng(wish.seed)),
     )  # fmt: skip
@@ -159,20 +160,47 @@ def parts(tree: Tree, chain: Chain) -> tuple[tuple[Link, ...], dict[str, list[Me
     return tuple(ordered), {link.name: meshes[link.name] for link in ordered if link.name in meshes}
 
 
-def _fit(links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], wish: Wish) -> dict[str, Fit]:
+def _fit_with_room(
+    joints: tuple[Joint, ...], links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], wish: Wish,
+    rng: np.random.Generator, tell: Tell,
+) -> tuple[dict[str, Fit], SelfPairs]:  # fmt: skip
+    """Cover and pairs; while kept parts are pressed by their own loose spheres, these parts are covered tighter."""
+    surfaces = {name: surface_points(joined(meshes), SURFACE, rng) for name, meshes in shapes.items()}
+    weights = {link.name: IMPORTANCE[link.group] for link in links}
+
+    def covered() -> tuple[dict[str, Fit], Sampled]:
+        fits = _fit(links, shapes, weights, wish)
+        cover = {link.name: fits[link.name].balls for link in links}
+        tell("sampling pairs of parts")
+        count = 3000 if wish.quick else 20_000
+        return fits, sampled_pairs(joints, links, cover, surfaces, count=count, rng=rng)
+
+    fits, found = covered()
+    for _ in range(TIGHTER_ROUNDS):
+        if not found.pressed:
+            break
+        tell(f"spheres leave no room between {', '.join(sorted(found.pressed))}; fitting these tighter")
+        weights |= {name: TIGHTER * weights[name] for name in found.pressed}
+        fits, found = covered()
+    return fits, found.pairs
+
+
+def _fit(
+    links: tuple[Link, ...], shapes: Mapping[str, list[Mesh]], weights: Mapping[str, float], wish: Wish
+) -> dict[str, Fit]:
     if len(links) > MOST_LINKS or wish.spheres > MOST_SPHERES:
         raise InvalidSetup(
             "parts and spheres", got=[len(links), wish.spheres],
             allowed=f"at most {MOST_LINKS} parts and {MOST_SPHERES} spheres",
         )  # fmt: skip
-    weights = {link.name: IMPORTANCE[link.group] for link in links}
     wanted = {link.name: shapes.get(link.name, []) for link in links}
     return fit_all(wanted, weights, wish.spheres, QUICK if wish.quick else FULL, wish.seed)
 
 
-def _tool(chain: Chain, links: tuple[Link, ...]) -> Tool:
+def _tool(chain: Chain, links: tuple[Link, ...], hand: Hand | str) -> Tool:
     link = next(link for link in reversed(links) if link.frame == len(chain.joints) and link.group != "fingers")
-    return Tool(link.name, vector(chain.tool[:3, 3]), quaternion(chain.tool[:3, :3]))
+    pose = hand.tool if isinstance(hand, Hand) else chain.tool
+    return Tool(link.name, vector(pose[:3, 3]), quaternion(pose[:3, :3]))
 
 
 def spheres_of(cover: Mapping[str, Balls]) -> tuple[BodySphere, ...]:
@@ -183,10 +211,10 @@ def spheres_of(cover: Mapping[str, Balls]) -> tuple[BodySphere, ...]:
     )  # fmt: skip
 
 
-def no_gripper() -> Gripper:
-    """A hand that skills cannot use."""
-    none = Bound(0.0, "m", NO_GRIPPER)
-    return Gripper(none, Bound(0.0, "N", NO_GRIPPER), Bound(0.0, "N", NO_GRIPPER), 0.0, 0.0)
+def no_gripper(why: str) -> Gripper:
+    """A hand that skills cannot use, and why."""
+    force = Bound(0.0, "N", why)
+    return Gripper(Bound(0.0, "m", why), force, force, 0.0, 0.0)
 
 
 def report_of(links: tuple[Link, ...], fits: Mapping[str, Fit], notes: tuple[str, ...], *, quick: bool) -> Report:

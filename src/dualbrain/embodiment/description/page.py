@@ -32,7 +32,8 @@ def gaps(body: Body, report: Report | None) -> list[str]:
     if not is_identified(body.tracking):
         found.append(f"tracking model: {body.tracking.provenance}")
     if body.gripper.opening.value == 0.0 and body.base == "fixed":
-        found.append("gripper: none known, so no skill grasps (edit `gripper` in body.json)")
+        why = body.gripper.opening.provenance
+        found.append(f"gripper: none known ({why}), so no skill grasps (or edit `gripper` in body.json)")
     for link in body.links:
         if not any(sphere.link == link.name for sphere in body.spheres):
             found.append(f"spheres of {link.name!r}: none, the description gives it no shape")
@@ -63,7 +64,9 @@ def bound_rows(body: Body) -> list[tuple[str, str, str, str]]:
         for side in ("lower", "upper", "velocity", "acceleration", "jerk")
         if (bound := getattr(joint, side)) is not None
     ]
-    whole = (("tool speed", body.tool_speed), ("gain α", body.gain))
+    hand = body.gripper
+    grip = (("opening", hand.opening), ("grip, least", hand.force_min), ("grip, greatest", hand.force))
+    whole = (("tool speed", body.tool_speed), ("gain α", body.gain), *(grip if hand.opening.value else ()))
     return [*rows, *(("robot", side, _value(bound), bound.provenance) for side, bound in whole if bound is not None)]
 
 

@@ -9,6 +9,7 @@ no control could part them. All others are kept.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -33,17 +34,28 @@ APART = 0.008
 """Shapes that stay this far apart [m] over the grid need no row."""
 ALWAYS = 0.98
 """Share of configurations in which spheres must overlap to count as always overlapping."""
+ROOM = 0.02
+"""A kept pair that is nowhere farther apart than this [m] is pressed: its spheres leave the robot no room to move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """Every pair, kept or with its reason, and the links of kept pairs that are pressed."""
+
+    pairs: SelfPairs
+    pressed: frozenset[str]
 
 
 def sampled_pairs(
     joints: tuple[Joint, ...], links: tuple[Link, ...], cover: Mapping[str, Balls], surfaces: Mapping[str, Array], *,
     count: int, rng: np.random.Generator,
-) -> SelfPairs:  # fmt: skip
-    """Every pair, kept or with its reason; `surfaces` are points (p, 3) on each link's shapes, in its link frame."""
+) -> Sampled:  # fmt: skip
+    """Every pair, looked at in `count` random postures; `surfaces` are points (p, 3) on each link, in its frame."""
     q = random_configurations(joints, count, rng)
     gaps = _gaps(joints, links, cover, q)
     kept: list[tuple[str, str]] = []
     allowed: list[tuple[str, str, str]] = []
+    pressed: set[str] = set()
     for (a, b), gap in gaps.items():
         reason = _reason(a, b, gap, count) or _shapes_apart(joints, a, b, gap, surfaces)
         if not reason and float(np.mean(gap < 0.0)) > ALWAYS:
@@ -53,7 +65,8 @@ def sampled_pairs(
             allowed.append((a.name, b.name, reason))
         else:
             kept.append((a.name, b.name))
-    return SelfPairs(tuple(kept), tuple(allowed))
+            pressed |= {a.name, b.name} if gap.max() < ROOM else set()
+    return Sampled(SelfPairs(tuple(kept), tuple(allowed)), frozenset(pressed))
 
 
 def _gaps(

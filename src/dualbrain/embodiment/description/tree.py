@@ -64,6 +64,7 @@ class TreeJoint:
     velocity: float | None = None
     acceleration: float | None = None
     mimic: Mimic | None = None
+    effort: float | None = None
 
     def motion(self, q: float) -> Array:
         """Pose (4, 4) of the child link in the parent link at joint value q [rad or m]."""

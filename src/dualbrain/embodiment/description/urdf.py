@@ -133,6 +133,7 @@ def _joint(joint: Any, where: str) -> TreeJoint:
     return TreeJoint(
         joint.name, joint.type, joint.parent, joint.child, _pose(joint.origin, where),
         axis / size if size > 0.0 else axis, where, lower, upper, velocity, None, mimic,
+        None if limit is None else _bound(limit.effort, where),
     )  # fmt: skip
 
 
