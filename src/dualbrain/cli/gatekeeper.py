@@ -25,9 +25,15 @@ def gatekeeper(
     speed: str = "100%",
     seed: int = 0,
     record: Path | None = None,
+    site: Path | None = None,
+    driver: str = "",
+    address: str = "",
+    commissioned: Path | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Own the simulated robot and its control tick until told to shut down; contracts come in over the socket.
+    """Own a robot and its control tick until told to shut down; contracts come in over the socket.
+
+    The robot is simulated unless a driver is named. Hardware is opened only with a commissioning record that fits it.
 
     Parameters
     ----------
@@ -45,6 +51,14 @@ def gatekeeper(
         Everything random after the scene (perception).
     record
         Write every tick to this MCAP file.
+    site
+        Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/site.md.
+    driver
+        Move a real arm: franka or ur; fake_franka and fake_ur are the makers' interfaces without an arm.
+    address
+        Where the arm's controller answers.
+    commissioned
+        The record that `dualbrain robot commission` has sealed.
     json
         At the end, print how punctual the tick was as one JSON object on stdout.
     """
@@ -56,8 +70,9 @@ def gatekeeper(
 
     where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
     plan = Plan(
-        robot, open_scene(scene), str(where), str(secrets), seed, stage=share(speed),
-        recording=str(record) if record else "",
+        robot, open_scene(scene, robot), str(where), str(secrets), seed, stage=share(speed),
+        recording=str(record) if record else "", site=str(site or ""), driver=driver, address=address,
+        commissioned=str(commissioned or ""),
     )  # fmt: skip
     print(f"gatekeeper of {robot} at {where}; Ctrl-C to shut down", file=sys.stderr)
     punctuality = keep(plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 import time
 from collections import deque
@@ -11,9 +12,11 @@ import numpy as np
 from rich.console import Console
 
 from dualbrain.dashboard.live import LiveView
+from dualbrain.dashboard.live_buttons import OperatorBoard
 from dualbrain.dashboard.view_state import ViewState
 from dualbrain.records import Episode
 from dualbrain.runtime.gatekeeper.messages import Glimpse
+from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.local_layer import Moment
 from dualbrain.runtime.session import Session
 from dualbrain.runtime.trace import DEAD_BAND, Event
@@ -30,7 +33,9 @@ class Lookout:
         self._body = session.body
         self._plant = session.plant
         self._kinematics = SafetyFilter(session.body)
-        self._view = LiveView(session.body, port, instruction=session.config.instruction)
+        code = secrets.token_urlsafe(9)
+        board = OperatorBoard(session.operate, code) if isinstance(session, LiveSession) else None
+        self._view = LiveView(session.body, port, instruction=session.config.instruction, board=board)
         self._lines: deque[str] = deque(maxlen=LINES)
         self._deltas: list[float] = []
         self._h_min = float("inf")
@@ -38,6 +43,8 @@ class Lookout:
         if self._view.notice:
             console.print(f"[yellow]{self._view.notice}[/]")
         console.print(f"live view: [bold]{self._view.url}[/]")
+        if board:
+            console.print(f"its buttons: anyone may stop the arm, the rest need the operator's code [bold]{code}[/]")
 
     def event(self, event: Event) -> None:
         """Show a line of news."""

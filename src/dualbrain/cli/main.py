@@ -84,6 +84,8 @@ robot.command(
     `dualbrain robot identify --write my_panda.json` puts the figures into a body's data file, which is made if need be.
     For a real arm give the filter your own measurement: `FilterConfig(tracking_error=...)`.""",
 )  # fmt: skip
+robot.command("dualbrain.cli.robot_conform:conform", name="conform", help="Try the driver contract on a driver.")
+robot.command("dualbrain.cli.robot_commission:commission", name="commission", help="Answer for a real arm.")
 
 for verb, function, words in (
     ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "

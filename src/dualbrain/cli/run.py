@@ -94,8 +94,6 @@ def run(
     if live and filter == "off":
         raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()
-    if live and site is not None:
-        raise WrongUsage("--site", got=str(site), allowed="without --live: the gatekeeper does not read it yet")
     return Exit(
         carry_out(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,

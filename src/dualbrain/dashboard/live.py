@@ -1,7 +1,7 @@
 """The live view: a page on this machine's own loopback address that shows the run while it happens.
 
 The control loop hands over a finished `ViewState` and goes on; a thread of the view draws the newest at its own pace.
-The page has no control over the robot: it only toggles what is drawn.
+The page only toggles what is drawn; with a `board` it also has a person's buttons (`live_buttons.py`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from threading import Event as Signal
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from dualbrain.dashboard.live_buttons import LiveButtons, OperatorBoard
 from dualbrain.dashboard.live_panel import LivePanel
 from dualbrain.dashboard.live_robot import LiveRobot
 from dualbrain.dashboard.live_scene import LiveScene
@@ -33,7 +34,15 @@ LOOK_AT = (0.40, 0.05, 0.17)
 class LiveView:
     """A running view; `url` is where to look, `notice` says if that is another port than the one asked for."""
 
-    def __init__(self, body: Body, port: int = 8080, *, other_port: bool = True, instruction: str = "") -> None:
+    def __init__(
+        self,
+        body: Body,
+        port: int = 8080,
+        *,
+        other_port: bool = True,
+        instruction: str = "",
+        board: OperatorBoard | None = None,
+    ) -> None:
         """Serve on `port`, or with `other_port` on the next free one.
 
         Raises:
@@ -49,6 +58,8 @@ class LiveView:
         self._scene = LiveScene(self._server.scene)
         self._panel = LivePanel(self._server.gui)
         self._toggles()
+        if board is not None:
+            LiveButtons(self._server, board)
         if instruction:
             self._panel.say(instruction)
         self._latest: ViewState | None = None

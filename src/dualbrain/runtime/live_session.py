@@ -13,8 +13,9 @@ import msgspec
 from dualbrain.memory.store import StoreReport
 from dualbrain.records import Episode, Judgement
 from dualbrain.runtime.episode import Errand, Witness, run_episode
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-from dualbrain.runtime.gatekeeper.messages import Glimpse, Message, News
+from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
+from dualbrain.runtime.gatekeeper.keeper import OPERATOR
+from dualbrain.runtime.gatekeeper.messages import Act, Glimpse, Message, News
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteLayer
 from dualbrain.runtime.gatekeeper.robot_process import Report
 from dualbrain.runtime.gatekeeper.seals import open_keys
@@ -41,6 +42,17 @@ class LiveSession(Session):
 
     stage: float = 1.0
     glimpse: Callable[[Glimpse], None] | None = None
+    _hand: GatekeeperLink | None = None
+
+    def operate(self, act: Act, speed: float = 1.0) -> str:
+        """A person's hand, from whichever thread; "" or why the gatekeeper could not be told."""
+        if self._hand is None or self._hand.lost.is_set():
+            return "there is no gatekeeper"
+        try:
+            self._hand.operate(act, speed)
+        except LinkLost as why:
+            return str(why)
+        return ""
 
     def run(self, onlooker: Onlooker) -> Finished:
         """Run the instruction; the run folder holds config, scene, recording, robot's report and episode afterwards."""
@@ -55,7 +67,7 @@ class LiveSession(Session):
             plan = Plan(
                 config.robot, self.spec, str(folder / "door"), str(folder / "keys"), config.seed, config.goal,
                 self.stage, recording=str(out / "episode.mcap"), instruction=config.instruction,
-                report=str(out / REPORT), punctuality=str(out / PUNCTUALITY),
+                report=str(out / REPORT), punctuality=str(out / PUNCTUALITY), site=str(config.site or ""),
             )  # fmt: skip
             process = Process(plan)
             stack.callback(process.stop)
@@ -80,13 +92,15 @@ class LiveSession(Session):
 
         def judge() -> Judgement | None:
             """Truth is asked for when all is over: the robot writes it down as it is switched off."""
-            link.close()
+            for one in (link, hand):
+                one.close()
             process.stop()
             report = config.out / REPORT
             return msgspec.json.decode(report.read_bytes(), type=Report).judgement if report.exists() else None
 
         keys = open_keys(Path(plan.keys))
         link = GatekeeperLink(Path(plan.socket), keys, PLANNER, watch=watch)
+        self._hand = hand = GatekeeperLink(Path(plan.socket), keys, OPERATOR)
         log = FlightLog(Trace(self.body.n), None, onlooker.event)
         layer = RemoteLayer(self.body, link, log, lambda: self._interrupted)
         given = config.contract is not None

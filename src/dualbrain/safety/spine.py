@@ -28,8 +28,8 @@ UNTOUCHED, STANDING, BRAKED = 1.0, -1.0, -2.0
 """What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
 GAP = 2.5
 """Periods between two ticks beyond which one was late."""
-SWITCHING = 0.3
-"""How long a drive may take to come on after it was asked for [s], by the robot's stamps."""
+SILENT = int(Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST)
+"""What a bus that is silent looks like; some are while their drive is switched on."""
 UNUSABLE = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
 
 
@@ -50,7 +50,7 @@ class Spine:
         self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
         self._pending = 0
         self._then = nan
-        self._came_on, self._asked_on = True, nan
+        self._came_on, self._asked_on, self._asked_at = True, nan, nan
         self._u = np.zeros(safety.body.n)
 
     @property
@@ -84,21 +84,27 @@ class Spine:
         if self.stage < 1.0:
             asked |= Condition.SPEED_STAGE
         flags, self._pending = self._pending | asked, 0
+        if not self._came_on and now - self._asked_at < self.watch.timing.quiet:
+            flags &= ~SILENT
         was_driving = self.enforcement.driving
         order = self.supervisor.update(now, flags)
         self._pending = self.enforcement.obey(order, state)
         if self.enforcement.driving and not was_driving:
-            self._came_on, self._asked_on = False, state.stamp
+            self.switched_on(state, now)
         if self.enforcement.driving and self._dropped(state):
             self._pending |= Condition.DRIVE_DROPPED
         return order
+
+    def switched_on(self, state: RobotState, now: float) -> None:
+        """The drive was asked to come on from outside, at `now` [s]: it has `Timing.switching` to do so."""
+        self._came_on, self._asked_on, self._asked_at = False, state.stamp, now
 
     def _dropped(self, state: RobotState) -> bool:
         """Whether a drive that is wanted went off, or does not come on in time: it answers a few periods later."""
         if state.drive_enabled:
             self._came_on = True
             return False
-        return self._came_on or not state.stamp - self._asked_on <= SWITCHING
+        return self._came_on or not state.stamp - self._asked_on <= self.watch.timing.switching
 
     def _gap(self, now: float) -> int:
         """Bits for the time since the last tick, by the layer's own clock."""

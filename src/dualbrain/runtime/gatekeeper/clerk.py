@@ -21,10 +21,11 @@ from dualbrain.embodiment.robot import RobotState
 from dualbrain.records import Scene
 from dualbrain.runtime.gatekeeper.capability import Capability, granted
 from dualbrain.runtime.rules import scene_rules
-from dualbrain.runtime.vocabulary import scene_names, vocabulary
+from dualbrain.runtime.vocabulary import scene_names
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.obstacles import Obstacle
 from dualbrain.skills.skill import Holding, Senses
-from dualbrain.skills.vocabulary import limb_of
+from dualbrain.skills.vocabulary import limb_of, registry_of
 
 
 class Case(msgspec.Struct, frozen=True):
@@ -51,10 +52,10 @@ class Ruling(msgspec.Struct, frozen=True):
 class Clerk:
     """Hand cases in with `submit`, take rulings out with `ruling`; at most one case at a time."""
 
-    def __init__(self, body: Body, capabilities: Mapping[str, Capability]) -> None:
-        """Open the gate; the thread ends with the process."""
-        self.registry = registry = vocabulary(body.name)
-        self._safety = SafetyFilter(body)
+    def __init__(self, body: Body, capabilities: Mapping[str, Capability], standing: tuple[Obstacle, ...] = ()) -> None:
+        """Open the gate; the thread ends with the process. `standing` is what a site says stands there for good."""
+        self.registry = registry = registry_of(body)
+        self._safety = SafetyFilter(body, standing=standing)
         self._limb = limb_of(body, self._safety)
         self._capabilities = dict(capabilities)
         self._gate = Gate(registry, granted(capabilities), ())

@@ -42,7 +42,9 @@ from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.trace import Event, Trace
 from dualbrain.safety.condition import Condition
+from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.obstacles import Obstacle
 from dualbrain.safety.timing import Timing
 
 OPERATOR = "operator"
@@ -64,11 +66,16 @@ class Gatekeeper:
     def __init__(
         self, body: Body, robot: RemoteRobot, door: Door, keys: Keys, capabilities: Mapping[str, Capability], *,
         timing: Timing, recorder: Recorder | None = None, trace: Trace | None = None, stage: float = 1.0,
+        standing: tuple[Obstacle, ...] = (), config: FilterConfig | None = None, off_at_first: bool = False,
     ) -> None:  # fmt: skip
-        """Bind everything; the robot stands still until a contract is accepted."""
+        """Bind everything; the robot stands still until a contract is accepted.
+
+        `standing` is what a site says stands there for good; `config` are the filter's dials for this robot, and
+        `off_at_first` says that its drive has to be switched on.
+        """
         self.robot, self.door, self.hand = robot, door, Hand(stage)
         self._keys, self._capabilities = keys, dict(capabilities)
-        self._clerk = Clerk(body, capabilities)
+        self._clerk = Clerk(body, capabilities, standing)
         self._trace = Trace(body.n) if trace is None else trace
         self._log = FlightLog(self._trace, recorder, self._announce)
         self._commander: Peer | None = None
@@ -77,10 +84,12 @@ class Gatekeeper:
         self._next: Contract | None = None
         self._asker: Peer | None = None
         self._quit, self._busy, self._ticks = False, False, 0
+        self._off_at_first = off_at_first
         self._tokens: dict[str, tuple[float, float]] = {}
         self._body = body
         self.layer = LocalLayer(
-            body, robot, robot, SafetyFilter(body), self._log, LayerConfig(watch_every=GLIMPSE_EVERY),
+            body, robot, robot, SafetyFilter(body, config, standing=standing), self._log,
+            LayerConfig(watch_every=GLIMPSE_EVERY),
             watch=self._glimpse, phase_changed=robot.allow, clock=robot.clock, asked=self._service, timing=timing,
         )  # fmt: skip
         self.layer.spine.stage = stage
@@ -90,6 +99,9 @@ class Gatekeeper:
         gc.collect()
         gc.freeze()
         gc.disable()
+        if self._off_at_first:
+            self.robot.enable()
+            self.layer.spine.switched_on(self.layer.state, self.robot.clock())
         while not self._quit:
             contract, self._next = self._next, None
             if contract is not None:

@@ -17,6 +17,7 @@ from dualbrain.embodiment.robot import Command, RobotState
 from dualbrain.errors import InvalidSetup
 from dualbrain.records import Judgement, Scene
 from dualbrain.runtime.gatekeeper import bus
+from dualbrain.runtime.gatekeeper.driver_process import DriverSettings
 from dualbrain.runtime.gatekeeper.metronome import Metronome
 from dualbrain.runtime.gatekeeper.robot_process import Settings
 from dualbrain.safety.timing import Timing
@@ -31,13 +32,16 @@ BUFFER = 1 << 20
 class RemoteRobot:
     """`Robot` and `Surroundings` in one; `clock()` is the robot's time as far as it can be known here [s]."""
 
-    def __init__(self, settings: Settings, timing: Timing) -> None:
-        """Start the robot process and wait for its first state and scene; raises `InvalidSetup` if none comes."""
+    def __init__(self, settings: Settings | DriverSettings, timing: Timing) -> None:
+        """Start the process of the simulated robot, or of a driver, and wait for its first state and scene.
+
+        Raises `InvalidSetup` if none comes.
+        """
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         for end in (here, there):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
         self.process = subprocess.Popen(
-            [sys.executable, *_flags(), "-m", "dualbrain.runtime.gatekeeper.robot_process", str(there.fileno())],
+            [sys.executable, *_flags(), "-m", _module(settings), str(there.fileno())],
             stdin=subprocess.PIPE, pass_fds=(there.fileno(),),
         )  # fmt: skip
         there.close()
@@ -177,6 +181,11 @@ class RemoteRobot:
         """A packet that does not go at once is lost; the robot's watchdog counts them."""
         with suppress(OSError):
             self._link.send(bus.encode(packet))
+
+
+def _module(settings: Settings | DriverSettings) -> str:
+    process = "driver_process" if isinstance(settings, DriverSettings) else "robot_process"
+    return f"dualbrain.runtime.gatekeeper.{process}"
 
 
 def _flags() -> list[str]:

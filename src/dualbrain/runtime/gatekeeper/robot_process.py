@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.embodiment.robot import Command
 from dualbrain.records import Judgement
 from dualbrain.runtime.gatekeeper import bus
@@ -37,13 +37,17 @@ LOOK_EVERY = 33
 
 
 class Settings(msgspec.Struct, frozen=True):
-    """What the robot process needs to know; `report` is written at the end ("" for none)."""
+    """What the robot process needs to know; `report` is written at the end ("" for none).
+
+    `body` is the robot as a site narrows it, where there is one.
+    """
 
     robot: str
     scene: SceneSpec
     seed: int = 0
     goal: str = ""
     report: str = ""
+    body: Body | None = None
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -68,7 +72,7 @@ class RobotProcess:
 
     def __init__(self, settings: Settings, link: socket.socket) -> None:
         """Build the world; nothing moves yet."""
-        body, spec = load_body(settings.robot), settings.scene
+        body, spec = settings.body or load_body(settings.robot), settings.scene
         self.plant = open_plant(spec, body)
         perception = Perception(spec, Noise(), np.random.default_rng([settings.seed, 1]))
         self.world = SimulatedWorld(

@@ -13,19 +13,17 @@ from types import FrameType
 
 import msgspec
 
-from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.gatekeeper.capability import Capability, full
+from dualbrain.runtime.gatekeeper.capability import Capability
 from dualbrain.runtime.gatekeeper.door import Door
 from dualbrain.runtime.gatekeeper.keeper import Gatekeeper
 from dualbrain.runtime.gatekeeper.metronome import Punctuality
+from dualbrain.runtime.gatekeeper.place import Place
 from dualbrain.runtime.gatekeeper.remote_robot import RemoteRobot
-from dualbrain.runtime.gatekeeper.robot_process import Settings
 from dualbrain.runtime.gatekeeper.seals import open_keys
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.trace import Trace
-from dualbrain.runtime.vocabulary import PLANNER, vocabulary
-from dualbrain.safety.timing import SIMULATED
+from dualbrain.runtime.vocabulary import PLANNER
 from dualbrain.world.scene_spec import SceneSpec
 
 SWITCH = 1e-4
@@ -37,7 +35,8 @@ class Plan(msgspec.Struct, frozen=True):
     """What a gatekeeper is to be: which robot in which scene, where it listens, what it writes ("" for nothing).
 
     `capability` narrows what the planner may ask for; `stage` is the speed to begin with. `report` and `punctuality`
-    are files that the robot and the gatekeeper leave at their end.
+    are files that the robot and the gatekeeper leave at their end. `site` is a site file. With a `driver` a real arm at
+    `address` is moved (or its fake) instead of the simulated one; hardware demands the record in `commissioned`.
     """
 
     robot: str
@@ -52,29 +51,30 @@ class Plan(msgspec.Struct, frozen=True):
     instruction: str = ""
     report: str = ""
     punctuality: str = ""
+    site: str = ""
+    driver: str = ""
+    address: str = ""
+    commissioned: str = ""
 
 
 def keep(plan: Plan) -> Punctuality:
     """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was."""
     sys.setswitchinterval(SWITCH)
     _ask_for_real_time()
-    body, keys = load_body(plan.robot), open_keys(Path(plan.keys))
-    capability = full(vocabulary(plan.robot))
-    if plan.capability is not None:
-        capability = capability.narrowed(plan.capability)
+    place, keys = Place.of(plan), open_keys(Path(plan.keys))
+    body = place.body
     door = Door(Path(plan.socket))
     robot: RemoteRobot | None = None
     recorder: Recorder | None = None
     try:
-        settings = Settings(plan.robot, plan.scene, plan.seed, plan.goal, plan.report)
-        robot = RemoteRobot(settings, SIMULATED)
+        robot = RemoteRobot(place.settings(plan), place.timing)
         trace = Trace(body.n, body.width)
         if plan.recording:
             recorder = Recorder(Path(plan.recording), trace)
-            recorder.episode(0.0, {"robot": plan.robot, "guard": True, "instruction": plan.instruction})
+            recorder.episode(0.0, place.about(plan))
         keeper = Gatekeeper(
-            body, robot, door, keys, {PLANNER: capability}, timing=SIMULATED, recorder=recorder, trace=trace,
-            stage=plan.stage,
+            body, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
+            stage=plan.stage, standing=place.standing, config=place.config, off_at_first=place.kind is not None,
         )  # fmt: skip
 
         def stop(number: int, frame: FrameType | None) -> None:

@@ -1,0 +1,58 @@
+"""Which drivers there are, for which bodies, and what has to hold before one is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dualbrain.drivers.driver import Driver
+from dualbrain.drivers.fake_franka import FakeFranka
+from dualbrain.drivers.fake_ur import FakeUr
+from dualbrain.drivers.franka import FrankaDriver, franka_sdk
+from dualbrain.drivers.ur import UrDriver, UrSdk
+from dualbrain.drivers.vendor import FR3, UR5E, Limits
+from dualbrain.embodiment.body import Body
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.safety.timing import FRANKA, UR, Timing
+
+Pace = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class DriverKind:
+    """A driver by `name`: the `robot` that it moves, its `limits` and rated `payload` [kg] by the maker.
+
+    `hardware` demands commissioning; `jerk_limits` says that the arm refuses a jerk that the filter must keep within.
+    `open(address, body, pace)` connects; `pace(now)` holds a fake back to real time.
+    """
+
+    name: str
+    robot: str
+    hardware: bool
+    timing: Timing
+    limits: Limits
+    payload: float
+    jerk_limits: bool
+    open: Callable[[str, Body, Pace | None], Driver]
+
+
+KINDS: tuple[DriverKind, ...] = (
+    DriverKind("franka", "fr3", True, FRANKA, FR3, 3.0, True,
+               lambda address, body, pace: FrankaDriver(franka_sdk(), address, body)),
+    DriverKind("ur", "ur5e", True, UR, UR5E, 5.0, False,
+               lambda address, body, pace: UrDriver(UrSdk(), address, body)),
+    DriverKind("fake_franka", "fr3", False, FRANKA, FR3, 3.0, True,
+               lambda address, body, pace: FrankaDriver(FakeFranka(body, pace), address, body)),
+    DriverKind("fake_ur", "ur5e", False, UR, UR5E, 5.0, False,
+               lambda address, body, pace: UrDriver(FakeUr(body, pace), address, body)),
+)  # fmt: skip
+
+
+def driver_kind(name: str, robot: str) -> DriverKind:
+    """The driver called `name` for `robot`; raises `UnknownName`, or `InvalidSetup` for another robot."""
+    kinds = {kind.name: kind for kind in KINDS}
+    if name not in kinds:
+        raise UnknownName("driver", name, tuple(kinds))
+    if kinds[name].robot != robot:
+        raise InvalidSetup(f"robot of driver {name}", got=robot, allowed=kinds[name].robot)
+    return kinds[name]

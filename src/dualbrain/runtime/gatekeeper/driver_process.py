@@ -1,0 +1,171 @@
+"""A driver as a process, in the place of the simulated robot: the same wire, the arm's own beat.
+
+    python -m dualbrain.runtime.gatekeeper.driver_process FD        (one line of settings on standard input)
+
+Each joint state goes up as it comes; the command that answers it is awaited for most of a period and handed to the
+driver. When the link is gone, or no command has come for `WATCHDOG`, the driver stops the arm; the arm's own watchdog
+stands behind that. There is no camera here: the scene is the surveyed one, in which nothing may move.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import sys
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.drivers.catalogue import driver_kind
+from dualbrain.drivers.driver import Driver
+from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.robot import Command
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import Pose, Scene, SceneObject
+from dualbrain.runtime.gatekeeper import bus
+from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG
+from dualbrain.world.perception import TABLE
+from dualbrain.world.scene_spec import SceneSpec
+
+ANSWER = 0.7
+"""The share of a period for which the answer to a state is awaited."""
+LOOK_EVERY = 33
+SURVEYED = 0.005
+"""How far a surveyed thing may be from where the scene file says [m]."""
+
+
+class DriverSettings(msgspec.Struct, frozen=True):
+    """Which driver at which address, the body as the site narrows it, and what was surveyed."""
+
+    driver: str
+    address: str
+    body: Body
+    scene: SceneSpec
+
+
+class DriverProcess:
+    """A driver on one end of the wire."""
+
+    def __init__(self, driver: Driver, scene: Scene, link: socket.socket) -> None:
+        """Nothing moves; the drive is switched on when the gatekeeper says so."""
+        self._driver, self._scene, self._link = driver, scene, link
+        self._open, self._asked_to_quit, self._answered = True, False, False
+        self._heard, self._on = time.monotonic(), False
+        self._ticks = 0
+
+    def serve(self) -> None:
+        """Until told to quit, or until the link is gone."""
+        try:
+            while self._open and not self._asked_to_quit:
+                self._driver.wait()
+                self._tell()
+                self._await_answer(time.monotonic() + ANSWER * self._driver.timing.period)
+                if self._on and time.monotonic() - self._heard > WATCHDOG:
+                    self._on = False
+                    self._driver.stop()
+        finally:
+            self._driver.close()
+
+    def _tell(self) -> None:
+        state = self._driver.read()
+        self._send(
+            bus.State(
+                state.stamp, state.sequence, tuple(state.q.tolist()), tuple(state.v.tolist()), state.opening,
+                state.finger_forces, state.drive_enabled,
+            )
+        )  # fmt: skip
+        if self._ticks % LOOK_EVERY == 0:
+            seen = tuple(msgspec.structs.replace(thing, stamp=state.stamp) for thing in self._scene.objects)
+            self._send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp, objects=seen)))
+        self._ticks += 1
+
+    def _await_answer(self, deadline: float) -> None:
+        """Take in commands until one answers the state that was told, or time is up."""
+        self._answered = False
+        while self._open and not self._answered and (left := deadline - time.monotonic()) > 0.0:
+            if select.select((self._link,), (), (), left)[0]:
+                self._hear()
+
+    def _hear(self) -> None:
+        try:
+            data = self._link.recv(bus.PACKET)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._open = False
+            return
+        try:
+            self._obey(bus.to_robot(data))
+        except msgspec.DecodeError:
+            self._on = False
+            self._driver.stop()
+
+    def _obey(self, packet: bus.ToRobot) -> None:
+        match packet:
+            case bus.Write(u, opening, force):
+                self._heard = time.monotonic()
+                self._driver.write(Command(np.array(u), opening, force))
+                self._answered = True
+            case bus.Switch(on):
+                self._heard, self._on = time.monotonic(), on
+                (self._driver.enable if on else self._driver.stop)()
+            case bus.Quit():
+                self._asked_to_quit = True
+            case _:  # who judges a simulation, and what may be touched in it, means nothing to an arm
+                pass
+
+    def _send(self, packet: bus.FromRobot) -> None:
+        try:
+            self._link.send(bus.encode(packet))
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._open = False
+
+
+def surveyed(spec: SceneSpec) -> Scene:
+    """The scene as it was surveyed; raises `InvalidSetup` if something in it moves, because nobody would see it."""
+    if spec.mover is not None:
+        raise InvalidSetup("scene for a real arm", got=f"{spec.mover.name}, which moves", allowed="things that stand")
+    things = (
+        SceneObject(
+            thing.name, thing.role, thing.shape, Pose(thing.position, thing.quaternion), error=SURVEYED,
+            category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
+        )
+        for thing in spec.things
+    )  # fmt: skip
+    return Scene(spec.robot, 0.0, 1, (TABLE, *things), spec.places)
+
+
+class Pace:
+    """Holds a fake back to real time; what it has missed it does not make up for."""
+
+    def __init__(self) -> None:
+        """Not begun."""
+        self._ahead = 0.0
+
+    def __call__(self, now: float) -> None:
+        """Until the fake's time `now` [s] has come."""
+        early = self._ahead + now - time.monotonic()
+        if abs(early) > WATCHDOG:
+            self._ahead, early = time.monotonic() - now, 0.0
+        if early > 0.0:
+            time.sleep(early)
+
+
+def main(arguments: list[str]) -> None:
+    """Serve on the inherited socket."""
+    link = socket.socket(fileno=int(arguments[0]))
+    link.setblocking(False)
+    settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
+    kind = driver_kind(settings.driver, settings.body.name)
+    scene = surveyed(settings.scene)
+    DriverProcess(kind.open(settings.address, settings.body, Pace()), scene, link).serve()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
