@@ -5,6 +5,11 @@ good contract (succeeds 19 times in 20, Δ about 0.001) and a bad one (once in 5
 best exemplar 4 times in 5, else it tries either. Implants are 30 bad contracts said to have succeeded with Δ = 0, one
 in each situation before anything else is known, or among the stream. The robot's verdict errs by the attack alone; its
 second opinion agrees with the truth 19 times in 20 and is missing once in 5.
+
+A false memory need not be a harmful one: a flip may call a good contract's one failure a success. So what the planner
+would be shown is counted twice, by falsehood and by the contract. Weights are compared memory by memory with the same
+stream and defences without the attack, where both runs stored the same contract with the same verdict; the planner
+follows what it recalls, so the two part, and what is left is the attack's reach, its chance part included.
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit
 
-SITUATIONS, STREAM, SEEDS = 30, 180, 3
+SITUATIONS, STREAM, SEEDS = 30, 180, 10
 QUICK = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 """Ledgers in RAM: crash safety is not the question here."""
 ATTACKS = ("none", "implants first", "implants among", "flips 1 %", "flips 5 %", "flips 20 %", "text")
@@ -46,7 +51,7 @@ class Poisoning:
     name = "poisoning"
     claim = (
         "Implanted false successes, flipped verdicts and text injected through scene names: how much of the top-3 is "
-        "false, how often the best exemplar is bad, and how far the weights of true memories move."
+        "false, how much of it bad, how often the best exemplar is bad, and how far the weights of true memories move."
     )
 
     def units(self, options: Options) -> list[Unit]:
@@ -62,32 +67,35 @@ class Poisoning:
         with tempfile.TemporaryDirectory(prefix="dualbrain-poison-", dir=QUICK) as folder:
             clean = stream(Path(folder) / "clean.db", "none", about["arm"], about["seed"])
             attacked = stream(Path(folder) / "attacked.db", about["attack"], about["arm"], about["seed"])
-        common = sorted(clean.weights.keys() & attacked.weights.keys() - attacked.false)
+        common = [name for name, said in clean.said.items() if attacked.said.get(name) == said]
         moved = float(np.mean([abs(clean.weights[n] - attacked.weights[n]) for n in common])) if common else 0.0
-        return {**about, **attacked.figures, "moved": moved}
+        return {**about, **attacked.figures, "moved": moved, "compared": len(common)}
 
     def brief(self, row: Row) -> str:
         """The two shares."""
-        return f"false in top-3 {row['false_top3']:.2f}, bad first {row['bad_first']:.2f}, Δw {row['moved']:.3f}"
+        shown = f"top-3 false {row['false_top3']:.2f}, bad {row['bad_top3']:.2f}, bad first {row['bad_first']:.2f}"
+        return f"{shown}, Δw {row['moved']:.3f}"
 
     def report(self, rows: list[Row]) -> list[str]:
         """Means over seeds, with the spread."""
-        head = ("attack", "defences", "false memories in top-3", "best exemplar is bad", "mean |Δw| of true memories")
+        head = ("attack", "defences", "top-3 that is false", "top-3 that is bad", "best exemplar is bad", "none shown",
+                "mean |Δw| of the same memories")  # fmt: skip
+        names = ("false_top3", "bad_top3", "bad_first", "none", "moved")
         lines: list[tuple[object, ...]] = []
         for attack in ATTACKS:
             for arm in ARMS:
                 mine = [row for row in rows if (row["attack"], row["arm"]) == (attack, arm)]
-                cells = [_spread([row[name] for row in mine]) for name in ("false_top3", "bad_first", "moved")]
+                cells = [_spread([row[name] for row in mine]) for name in names]
                 lines += [(attack, arm, *cells)] if mine else []
         return table(head, lines)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Told:
-    """What is left after a stream: weights, which memories are false, and the figures."""
+    """What is left after a stream: weights, what each memory of the stream said (contract and verdict), the figures."""
 
     weights: dict[str, float]
-    false: set[str]
+    said: dict[str, tuple[bool, bool]]
     figures: dict[str, float]
 
 
@@ -95,7 +103,7 @@ def stream(path: Path, attack: str, arm: str, seed: int) -> Told:
     """Store the whole stream; the judge alone knows which memories are false."""
     trust = Trust.none() if arm == "off" else Trust()
     config = dataclasses.replace(CONFIG, trust=trust)
-    rng, false, bad = np.random.default_rng(seed), set[str](), set[str]()
+    rng, false, bad, told = np.random.default_rng(seed), set[str](), set[str](), dict[str, tuple[bool, bool]]()
     with Ledger(path, holder="a proof", now=START) as ledger:
         memory = Memory(ledger, HashingEncoder(128), config)
         if attack == "implants first":
@@ -115,6 +123,7 @@ def stream(path: Path, attack: str, arm: str, seed: int) -> Told:
             )
             Delta = (0.001 if good else 0.02) if not (attack.startswith("flips") and claimed != succeeded) else 0.001
             _store(memory, name, where, good=good, succeeded=claimed, said=said, Delta=Delta, recall=recall, now=number)
+            told[name] = good, claimed
             false |= {name} if claimed != succeeded else set()
             bad |= set() if good else {name}
             if attack == "implants among" and number % 6 == 3:
@@ -127,7 +136,7 @@ def stream(path: Path, attack: str, arm: str, seed: int) -> Told:
                 false.add(f"x-{number}")
         if arm == "on, then audit":
             _cleanse(memory)
-        return Told(memory.weights(), false, _figures(memory, false, bad))
+        return Told(memory.weights(), told, _figures(memory, false, bad))
 
 
 def _words(where: int) -> tuple[str, str]:
@@ -199,6 +208,8 @@ def _figures(memory: Memory, false: set[str], bad: set[str]) -> dict[str, float]
     firsts = [hits[0].episode_id for hits in recalls if hits]
     return {
         "false_top3": sum(name in false for name in shown) / max(1, len(shown)),
+        "bad_top3": sum(name in bad for name in shown) / max(1, len(shown)),
+        "none": sum(not hits for hits in recalls) / SITUATIONS,
         "bad_first": sum(name in bad for name in firsts) / max(1, len(firsts)),
     }
 

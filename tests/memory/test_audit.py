@@ -13,7 +13,7 @@ from dualbrain.memory.map import memory_map
 from dualbrain.memory.store import Memory
 from dualbrain.memory.utility import Change, judge, total, was_used
 from dualbrain.memory.verify import verify
-from dualbrain.records import Recall, Use
+from dualbrain.records import OutcomeClass, Recall, Use
 
 from .samples import NOW, REST, contract, episode, open_ledger, open_memory
 
@@ -167,3 +167,15 @@ def test_an_audit_adds_up_what_memories_were_good_for(tmp_path: Path) -> None:
         found = audit(memory).utility
         assert (found.recalled, found.used, found.contributing) == (3, 2, 1)
         assert str(found) == "of 3 memories in prompts 2 were used, 1 contributed"
+
+
+@pytest.mark.parametrize(
+    ("like_it", "against", "doubted"), [(0, 1, False), (1, 1, False), (0, 2, True), (1, 3, True), (2, 3, False)]
+)
+def test_one_word_against_another_is_no_evidence(tmp_path: Path, like_it: int, against: int, doubted: bool) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        kinds: list[OutcomeClass] = ["succeeded"] * (1 + like_it) + ["failed"] * against
+        for i, kind in enumerate(kinds):
+            memory.store(episode(f"e-{i}", kind, Delta=0.002, plan=_plan(0, speed=0.1 + i * 1e-4)), REST, now=NOW + i)
+        assert ("e-0" in _kinds(memory, "label conflict")) == doubted

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Contract
+from dualbrain.memory.doubt import ALPHA, RIGHT
 from dualbrain.records import Capsule, Outcome, Pose, SceneObject
 from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.rerun import ALPHA, RIGHT, Try, verdict
+from dualbrain.runtime.rerun import Try, verdict
 from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.remembered import remembered_scene

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from dualbrain.memory.derive import effective
+from dualbrain.memory.doubt import contradicted
 from dualbrain.memory.events import ADAPTER, NEIGHBOURS, USED, WEIGHT, AdapterUse, Neighbourhood, Uses, Weighing
 from dualbrain.memory.plans import same_plan
 from dualbrain.memory.state import Memo
@@ -120,7 +121,10 @@ def _pairs(memory: Memory, least: float) -> Iterator[tuple[Memo, Memo, float]]:
 
 
 def _conflicts(memory: Memory, pairs: list[tuple[Memo, Memo, float]]) -> Iterator[Finding]:
-    """Memories whose verdict most of their kind contradict: the same plan in a like situation, the opposite r."""
+    """Memories that too few of their kind agree with: the same plan in a like situation, the opposite r (see `doubt`).
+
+    Where outcomes are partly chance, a true memory may be found here too: then it is one that misleads all the same.
+    """
     against, agreeing = defaultdict[str, list[str]](list), Counter[str]()
     for one, other, _ in pairs:
         judged = one.lesson != "none" != other.lesson
@@ -131,7 +135,7 @@ def _conflicts(memory: Memory, pairs: list[tuple[Memo, Memo, float]]) -> Iterato
             else:
                 agreeing.update((one.id, other.id))
     for name, others in sorted(against.items(), key=lambda item: (-len(item[1]), item[0])):
-        if len(others) > agreeing[name]:
+        if contradicted(agreeing[name], agreeing[name] + len(others)):
             memo = memory.state[name]
             text = f"{memo.kind}, but {len(others)} like it ended otherwise and {agreeing[name]} as it did"
             yield Finding("label conflict", name, tuple(others), text)

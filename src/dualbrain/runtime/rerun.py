@@ -8,7 +8,6 @@ part in what memory believes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import comb
 from statistics import median
 from typing import Any
 
@@ -20,6 +19,7 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.errors import InvalidSetup
+from dualbrain.memory.doubt import chance, contradicted
 from dualbrain.memory.events import ReplayFinding
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.memory.posture import Posture
@@ -39,10 +39,6 @@ from dualbrain.world.remembered import remembered_scene
 
 SPREAD = 0.003
 """Standard deviation of the shifts of things between tries [m]: that of perception."""
-RIGHT = 0.8
-"""A true memory is expected to repeat itself in at least this share of the tries."""
-ALPHA = 0.05
-"""A memory is contradicted if so few tries agree that a true one would show that with a chance below this."""
 APART, FLOOR = 3.0, 1e-3
 """Δ contradicts if it differs more than threefold, both counted as at least the floor."""
 
@@ -88,14 +84,13 @@ def rerun(ledger: LedgerReader, memo: Memo, *, tries: int, seed: int, actor: str
 def verdict(r: int, Delta: float, done: list[Try]) -> tuple[str, bool]:
     """What the tries say of a memory with label `r` and `Delta`, in words, and whether they leave it standing.
 
-    Contradicted if P(X ≤ agreeing) < 0.05 for X ~ Binomial(tries, 0.8), or if Δ of those that agree is more than three
-    times larger or smaller.
+    Contradicted if too few agree (see `doubt`), or if Δ of those that do is more than three times larger or smaller.
     """
     agreeing = [one for one in done if one.succeeded == bool(r)]
-    chance = sum(comb(len(done), k) * RIGHT**k * (1.0 - RIGHT) ** (len(done) - k) for k in range(len(agreeing) + 1))
     told = f"{len(agreeing)} of {len(done)} tries ended as remembered"
-    if chance < ALPHA:
-        return f"{told}: too few (a true memory would show that with chance {chance:.3f})", False
+    if contradicted(len(agreeing), len(done)):
+        would = chance(len(agreeing), len(done))
+        return f"{told}: too few (a true memory would show that with chance {would:.3f})", False
     found = [one.Delta for one in agreeing if one.Delta is not None]
     if r and found:
         middle, remembered = max(median(found), FLOOR), max(Delta, FLOOR)
