@@ -5,6 +5,7 @@ import pytest
 from dualbrain.cli.account import exit_code
 from dualbrain.cli.exits import Exit
 from dualbrain.planner.prompt import render
+from dualbrain.records import Recall
 from tests.once import once
 
 from .rig import contract, decline, ledger_episodes, pause, play, settings
@@ -74,3 +75,11 @@ def test_r_is_the_robots_own_verdict_even_where_truth_differs(runs):
     remembered = ledger_episodes(ledger)[0]["episode"]
     assert remembered["outcome"]["kind"] == "succeeded"
     assert "judgement" not in remembered
+
+
+def test_a_given_contract_teaches_nothing_to_memories_that_nobody_was_shown(tmp_path):
+    play(settings(tmp_path, "one"), BAD)
+    (tmp_path / "pause.json").write_text(pause())
+    story = play(settings(tmp_path, "two", contract=tmp_path / "pause.json"), pause())
+    assert story.episode.recall == Recall()
+    assert [change.memory for change in story.finished.stored.changes] == ["two"]

@@ -24,7 +24,7 @@ from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal, Recall
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate, RemoteLayer
 from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.rules import scene_rules
@@ -45,7 +45,11 @@ CONTRACT_LIFE = 660.0
 
 @dataclass(frozen=True, slots=True)
 class Errand:
-    """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown."""
+    """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown.
+
+    No `exemplars`: nothing is recalled, warnings neither, as for a contract that is given; an outcome teaches only what
+    stood in a prompt.
+    """
 
     id: str
     started: str
@@ -83,9 +87,11 @@ def run_episode(
     summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
     posture = Posture(tuple(layer.state.q.tolist()), layer.state.opening)
     image = witness.picture()
-    recall = memory.recall(
-        errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
-    )  # fmt: skip
+    recall = Recall()
+    if errand.exemplars:
+        recall = memory.recall(
+            errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
+        )  # fmt: skip
     recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
     gate = _gate(layer, registry, grants(registry) if granted is None else granted)
     request = PlanRequest(

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.memory.store import StoreReport
+from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.records import Episode, Judgement
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
@@ -105,8 +106,9 @@ class LiveSession(Session):
         layer = RemoteLayer(self.body, link, log, lambda: self._interrupted)
         given = config.contract is not None
         errand = Errand(
-            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
-        )
+            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots,
+            exemplars=0 if given else MAX_RECALLED,
+        )  # fmt: skip
         thinking = Thinking(time.monotonic, measured=True)
         witness = Witness(lambda contract: None, judge, self._versions(), self._picture)
         return run_episode(

@@ -29,7 +29,7 @@ from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, StoreReport
-from dualbrain.planner.prompt import template_hash
+from dualbrain.planner.prompt import MAX_RECALLED, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
 from dualbrain.records import Episode, Passage
@@ -230,8 +230,9 @@ class Session:
         )  # fmt: skip
         given = config.contract is not None
         errand = Errand(
-            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots
-        )
+            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots,
+            exemplars=0 if given else MAX_RECALLED,
+        )  # fmt: skip
         thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions(), self._picture)
         episode, stored = run_episode(
