@@ -8,7 +8,7 @@ nominal. φ never starts from the measured velocity: a filter that slows the arm
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from dualbrain.linalg import rotation_error
 from dualbrain.skills.skill import Motion, ToolState
 
 Array = NDArray[np.float64]
+
+AMBIGUOUS = pi / 2
+"""A turn beyond this [rad] may go either way round; a lesser one goes the short way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,10 @@ class ResolvedRate:
         now: float, *, stop: bool = True,
     ) -> Array:  # fmt: skip
         """u_nom (n,) [rad/s] that carries the tool toward a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
-        self._lead_twist(tool, position, rotation, speed, stop=stop)
+        turn = rotation_error(tool.rotation, rotation)
+        if float(turn @ turn) > AMBIGUOUS**2:
+            turn = way_round(turn, tool.jacobian[3:] @ (posture - state.q))
+        self._lead_twist(position - tool.position, turn, speed, stop=stop)
         return self._resolve(state, tool, posture, now)
 
     def toward_joints(
@@ -89,15 +95,14 @@ class ResolvedRate:
         self._u_nom = self._before
         return self._project(state, u, now)
 
-    def _lead_twist(self, tool: ToolState, position: Array, rotation: Array, speed: float, *, stop: bool) -> None:
-        """Let the twist follow the wanted one within the acceleration bounds."""
+    def _lead_twist(self, error: Array, turn: Array, speed: float, *, stop: bool) -> None:
+        """Let the twist follow the one that takes away `error` [m] and `turn` [rad], within the acceleration bounds."""
         gains = self._gains
-        error = position - tool.position
         distance = sqrt(float(error @ error))
         fast = min(speed, gains.position * distance)
         if stop:
             fast = min(fast, sqrt(1.2 * gains.linear * distance))
-        turn = gains.rotation * rotation_error(tool.rotation, rotation)
+        turn = gains.rotation * turn
         turning = sqrt(float(turn @ turn))
         if turning > gains.turn:
             turn *= gains.turn / turning
@@ -117,6 +122,18 @@ class ResolvedRate:
         self._before = self._u_nom
         self._u_nom = self._motion.project(state, wish, self._before, now)
         return self._u_nom
+
+
+def way_round(turn: Array, swept: Array) -> Array:
+    """The rotation vector (3,) that leads where `turn` leads, by the way round that lies nearer to `swept` (3,) [rad].
+
+    θ e and (θ − 2π) e are the same rotation. The short way may end at a joint's limit where the goal's posture lies the
+    other way round; `swept` = J_ω (q_goal − q) tells which way the joints go.
+    """
+    angle = sqrt(float(turn @ turn))
+    other = turn * (1.0 - 2.0 * pi / angle)
+    near, far = turn - swept, other - swept
+    return turn if float(near @ near) <= float(far @ far) else other
 
 
 def _step_toward(value: Array, wanted: Array, step: float) -> None:
