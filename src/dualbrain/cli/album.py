@@ -17,6 +17,9 @@ MOMENTS = {
     "carry": "carrying",
     "lower": "lowering",
     "retreat": "letting go",
+    "drive": "setting off",
+    "turn": "turning",
+    "wait": "waiting for a person",
 }
 
 

@@ -27,8 +27,9 @@ HOST = "127.0.0.1"
 RATE = 15.0
 """Pictures a second."""
 PORTS_TRIED = 20
-CAMERA = (1.22, -0.80, 0.74)
-LOOK_AT = (0.40, 0.05, 0.17)
+AT_TABLE = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
+IN_ROOM = (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2)
+"""Where the view begins, and what it looks at: an arm at its table, a base in its room [m]."""
 
 
 class LiveView:
@@ -54,6 +55,8 @@ class LiveView:
         self.url = f"http://{HOST}:{self.port}"
         self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
         self._server = serve(self.port)
+        if body.mobile:
+            self._server.initial_camera.position, self._server.initial_camera.look_at = IN_ROOM
         self._robot = LiveRobot(self._server.scene, body)
         self._scene = LiveScene(self._server.scene)
         self._panel = LivePanel(self._server.gui)
@@ -153,7 +156,7 @@ def serve(port: int) -> ViserServer:
     server.request_share_url = lambda verbose=True: None  # a page must not be able to ask for a public tunnel
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.scene.set_up_direction("+z")
-    server.initial_camera.position, server.initial_camera.look_at = CAMERA, LOOK_AT
+    server.initial_camera.position, server.initial_camera.look_at = AT_TABLE
     return server
 
 

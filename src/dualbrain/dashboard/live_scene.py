@@ -17,6 +17,8 @@ HIDDEN_BELOW = 1e-6
 TABLE = (1.15, 1.30, 0.03)
 """Extent [m] drawn of a support that is a half space; it reaches farther."""
 TABLE_AHEAD = 0.375
+FLOOR_BELOW = -0.002
+"""Height [m] at which a floor is drawn: things stand on it."""
 
 BY_ROLE = {
     "object": (200, 60, 50), "container": (232, 230, 222), "support": (214, 197, 172), "obstacle": (133, 140, 148),
@@ -49,6 +51,7 @@ class LiveScene:
         self._scene = scene
         self._things: dict[str, _Thing] = {}
         self._show_margins = True
+        self._region: tuple[tuple[float, float], ...] = ()
         self._target = scene.add_icosphere("/target", 0.012, color=(10, 127, 95), opacity=0.85, visible=False)
 
     def update(self, state: ViewState) -> None:
@@ -58,6 +61,9 @@ class LiveScene:
             self._things.pop(name).frame.remove()
         for thing in state.scene.objects:
             self._show(thing, state.margins.get(thing.name, 0.0))
+        if state.scene.region != self._region:
+            self._region = state.scene.region
+            self._floor(self._region)
         self._target.visible = state.target is not None
         if state.target is not None:
             self._target.position = state.target
@@ -65,6 +71,12 @@ class LiveScene:
     def show_margins(self, wanted: bool) -> None:
         """Show or hide the inflated shapes from the next update on."""
         self._show_margins = wanted
+
+    def _floor(self, region: tuple[tuple[float, float], ...]) -> None:
+        """The convex region in which a base may drive, as a floor."""
+        corners = np.array([(x, y, FLOOR_BELOW) for x, y in region])
+        faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
+        self._scene.add_mesh_simple("/scene/floor", corners, faces, color=BY_ROLE["support"], side="double")
 
     def _show(self, thing: SceneObject, margin: float) -> None:
         node = self._things.get(thing.name)

@@ -177,7 +177,7 @@ def _planner(episode: Episode) -> Html:
 
 def _attempt(index: int, attempt: Attempt) -> Html:
     proposal, verdict = attempt.proposal, attempt.verdict
-    spent = ", ".join(f"{name} {value:.2f} s" for name, value in proposal.timings.items())
+    spent = ", ".join(_spent(name, value) for name, value in proposal.timings.items())
     facts = [
         ("planner", f"{proposal.planner}, constrained by {proposal.constrained_by}, ended by {proposal.finish_reason}"),
         ("time", f"{spent}; gate {1e6 * attempt.gate_s:.0f} µs"),
@@ -300,6 +300,11 @@ def _events(events: Sequence[Event]) -> Html:
         "details", element("summary", f"{len(events)} events"), table(("t [s]", "kind", "what"), rows, right=(0,))
     )
     return section("Events", listed)
+
+
+def _spent(name: str, value: float) -> str:
+    """One of a planner's figures: a time, or a count of tokens."""
+    return f"{value:.0f} {name.replace('_', ' ')}" if name.endswith("_tokens") else f"{name} {value:.2f} s"
 
 
 def _origin(episode: Episode) -> Html:

@@ -1,0 +1,62 @@
+"""A base's live view begins above its room, and the floor on which it may drive is drawn; tokens are no seconds."""
+
+import numpy as np
+import pytest
+
+from dualbrain.dashboard.live import AT_TABLE, IN_ROOM, LiveView, free_port
+from dualbrain.dashboard.live_scene import LiveScene
+from dualbrain.dashboard.report import _spent
+from dualbrain.dashboard.view_state import ViewState
+from dualbrain.embodiment.body import load_body
+from dualbrain.runtime.desk import as_specified
+from dualbrain.world.catalogue import open_scene
+
+
+class Canvas:
+    """What is asked of viser's scene, written down."""
+
+    def __init__(self):
+        self.meshes = {}
+
+    def add_mesh_simple(self, name, vertices, faces, **_):
+        self.meshes[name] = np.asarray(vertices), np.asarray(faces)
+
+    def add_frame(self, *_, **__):
+        return self
+
+    add_icosphere = add_frame
+
+
+def test_the_floor_is_the_region_that_the_base_may_drive_on():
+    canvas, scene = Canvas(), as_specified(open_scene("1", "base"))
+    LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+    points, faces = canvas.meshes["/scene/floor"]
+    assert np.allclose(points[:, :2], scene.region)
+    corners = points[faces]
+    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    x, y = np.transpose(scene.region)
+    assert np.all(areas > 0.0)
+    assert areas.sum() == pytest.approx(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def test_a_table_has_no_floor():
+    canvas = Canvas()
+    scene = as_specified(open_scene("bare:0", "panda"))
+    LiveScene(canvas).update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+    assert "/scene/floor" not in canvas.meshes
+
+
+@pytest.mark.parametrize(("robot", "eye"), [("base", IN_ROOM), ("ur5e", AT_TABLE)])
+def test_the_view_begins_where_the_robot_can_be_seen(robot, eye):
+    view = LiveView(load_body(robot), free_port(18400, 20))
+    try:
+        camera = view._server.initial_camera
+        assert np.allclose(camera.position, eye[0])
+        assert np.allclose(camera.look_at, eye[1])
+    finally:
+        view.close()
+
+
+def test_a_count_of_tokens_is_no_time():
+    assert _spent("prompt_tokens", 949.0) == "949 prompt tokens"
+    assert _spent("prefill", 1.234) == "prefill 1.23 s"
