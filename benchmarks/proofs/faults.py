@@ -26,7 +26,7 @@ class Faults:
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """5 sources × 7 kinds × 6 moments × 3 scenes = 630, so mixed that any prefix covers all sources."""
+        """7 sources × 7 kinds × 6 moments × 3 scenes = 882, so mixed that any prefix covers all sources."""
         del options
         cells = list(product(SCENES, MOMENTS, KINDS, SOURCES))
         order = sorted(range(len(cells)), key=lambda k: (k * 283) % len(cells))

@@ -18,6 +18,8 @@ SAMPLE = [
     ("qp", "garbage", "descending"),
     ("drive", "stuck", "closing"),
     ("drive", "off", "carrying"),
+    ("socket", "garbage", "closing"),
+    ("socket", "stuck", "carrying"),
 ]
 
 
@@ -40,3 +42,11 @@ def test_a_fault_leads_to_its_order_and_to_nothing_unsafe(source, kind, moment):
     assert report.rest < 1.5
     assert Rung[report.reached] >= Rung[report.expected] > Rung.NONE
     assert report.outcome in ("stopped", "emergency")
+
+
+def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
+    report = inject(Fault("planner", "garbage", "closing"), scene="bare:0")
+    assert report.struck is not None
+    assert report.safe, report
+    assert (report.reached, "frames_refused" in report.checks) == ("WARN", True)
+    assert report.outcome == "succeeded", report

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.exits import Exit
 
-Source = Literal["state", "scene", "clock", "qp", "drive"]
+Source = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
 Kind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement"]
 
@@ -30,7 +30,7 @@ def fault(
     Parameters
     ----------
     source
-        What breaks: joint states, perceived scene, clock, QP or drive.
+        What breaks: joint states, perceived scene, clock, QP, drive; planner or socket, at a gatekeeper's door.
     kind
         How it breaks.
     moment

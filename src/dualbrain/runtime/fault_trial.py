@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.body import Body, load_body
 from dualbrain.records import Violation
+from dualbrain.runtime.door_trial import attend
 from dualbrain.runtime.faults import Fault, FaultyRobot, FaultyWorld, Injector, break_filter, faulty_clock
 from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
 from dualbrain.runtime.log import FlightLog
@@ -21,6 +22,7 @@ from dualbrain.safety.order import Rung
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import SceneSpec
 
 GRASP = {
     "object": "red_cube", "speed": 0.35, "clearance": 0.15, "finger_axis": "along", "opening": 0.08,
@@ -31,6 +33,8 @@ UNSAFE = ("collision_env", "collision_human", "self_collision", "joint_limit", "
 """Kinds of violation that a fault must not lead to; others (a load that was let go) are listed."""
 AT_REST = 0.02
 """An arm whose joints are slower than this [rad/s] is touched; it does not touch."""
+AT_THE_DOOR = ("planner", "socket")
+"""Sources beyond the gatekeeper's door."""
 SETTLE, AFTERMATH = 1.0, 0.5
 """How long the local layer goes on after the contract, and the world after that [s]."""
 
@@ -68,6 +72,8 @@ class FaultReport(msgspec.Struct, frozen=True):
 def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
     """Carry out a pick and place of the red cube that breaks by `fault`; nothing of it reaches a memory."""
     body, spec = load_body(robot), open_scene(scene)
+    if fault.source in AT_THE_DOOR:
+        return _at_the_door(fault, body, spec, scene, seed)
     plant = Plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])))
     injector = Injector(fault, lambda: plant.now)
@@ -103,6 +109,32 @@ def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", see
         tuple(dict.fromkeys(str(e.data["check"]) for e in log.trace.events if e.data.get("check"))),
         max(0.0, came - struck) if came is not None and struck is not None else None,
         watched.rest_after(struck), outcome.kind, outcome.reason, unsafe,
+        tuple(one for one in violations if one not in unsafe),
+    )  # fmt: skip
+
+
+def _at_the_door(fault: Fault, body: Body, spec: SceneSpec, scene: str, seed: int) -> FaultReport:
+    """The same errand, proposed to a gatekeeper; its stamps are true, for the robot is whole."""
+    errand = [{"skill": "grasp", "params": GRASP}, {"skill": "place", "params": PLACE}]
+    watched: list[_Watched] = []
+
+    def seen(plant: Plant, world: SimulatedWorld) -> None:
+        watched.append(_Watched(plant))
+        setattr(world, "advance", watched[0].after(world.advance))  # noqa: B010  (as above)
+
+    found = attend(fault, body, spec, errand, seed, AFTERMATH, seen)
+    struck, expected = found.injector.struck, fault.expected(moving=spec.mover is not None)
+    orders = [(e.t, Rung[e.data["action"]]) for e in found.trace.events if e.kind == "order" and "action" in e.data]
+    since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - body.period]
+    came = next((t for t, rung in since if rung >= expected), None) if expected else None
+    violations = found.world.judgement().violations
+    unsafe = tuple(one for one in violations if one.kind in UNSAFE and watched[0].moved_at(one.start))
+    return FaultReport(
+        f"{fault.source} {fault.kind} {fault.moment}", scene, struck, expected.name,
+        max([Rung[found.final], *(rung for _, rung in since)]).name,
+        tuple(dict.fromkeys(str(e.data["check"]) for e in found.trace.events if e.data.get("check"))),
+        max(0.0, came - struck) if came is not None and struck is not None else None,
+        watched[0].rest_after(struck), found.outcome.kind, found.outcome.reason, unsafe,
         tuple(one for one in violations if one not in unsafe),
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
 """Fault injection: what breaks, how, and at which moment; with the order that is expected, declared beforehand.
 
 The vocabulary of kinds is PX4's (`failure` command). A fault strikes once its moment has come and stays until the end.
-It is put between the local layer and the world, so that everything above it is the code that runs without faults.
+It is put between the local layer and the world, or (planner, socket) between a commander and the gatekeeper's door,
+so that everything else is the code that runs without faults.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dualbrain.runtime.local_layer import Surroundings
 from dualbrain.safety.filter import Filtered, SafetyFilter
 from dualbrain.safety.order import Rung
 
-Source = Literal["state", "scene", "clock", "qp", "drive"]
+Source = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
 Kind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "between write and acknowledgement"]
 SOURCES, KINDS, MOMENTS = get_args(Source), get_args(Kind), get_args(Moment)
@@ -57,8 +58,14 @@ EXPECTED: dict[tuple[str, str], Rung] = {
     ("qp", "slow"): WARN, ("qp", "delayed"): NONE, ("qp", "intermittent"): STOP,
     ("drive", "off"): ESTOP, ("drive", "stuck"): STOP, ("drive", "garbage"): STOP, ("drive", "wrong"): STOP,
     ("drive", "slow"): STOP, ("drive", "delayed"): NONE, ("drive", "intermittent"): NONE,
+    ("planner", "off"): NONE, ("planner", "stuck"): WARN, ("planner", "garbage"): WARN, ("planner", "wrong"): WARN,
+    ("planner", "slow"): NONE, ("planner", "delayed"): WARN, ("planner", "intermittent"): WARN,
+    ("socket", "off"): HOLD, ("socket", "stuck"): HOLD, ("socket", "garbage"): HOLD, ("socket", "wrong"): HOLD,
+    ("socket", "slow"): HOLD, ("socket", "delayed"): NONE, ("socket", "intermittent"): HOLD,
 }  # fmt: skip
-"""The least order that must come, by source and kind. NONE: the fault may pass unnoticed, and must be harmless. Of a
+"""The least order that must come, by source and kind. A planner that breaks while its contract runs is refused with a
+warning, and the contract goes on; a socket that breaks takes the commander away, and the arm holds.
+NONE: the fault may pass unnoticed, and must be harmless. Of a
 scene in which nothing moves, old pictures are as good as new; in one with a person they must lead to HOLD."""
 WITH_A_PERSON: dict[tuple[str, str], Rung] = {("scene", "off"): HOLD, ("scene", "stuck"): NONE, ("scene", "slow"): SLOW}
 """What is expected where something moves."""

@@ -80,6 +80,11 @@ class Clerk:
         self.busy = False
         return self._rulings.get()
 
+    def settle(self) -> None:
+        """Wait until the case that it has is judged."""
+        while self.busy and self._rulings.empty() and self._thread.is_alive():
+            time.sleep(1e-4)
+
     def close(self) -> None:
         """End the thread once it has judged what it has."""
         self._cases.put(None)

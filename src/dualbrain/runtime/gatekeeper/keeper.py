@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isnan
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.embodiment.body import Body
+from dualbrain.records import Outcome
 from dualbrain.runtime.gatekeeper.capability import Capability
 from dualbrain.runtime.gatekeeper.clerk import Case, Clerk, Ruling
 from dualbrain.runtime.gatekeeper.door import Door, Peer
@@ -35,8 +36,8 @@ from dualbrain.runtime.gatekeeper.messages import (
     Sight,
     Welcome,
 )
-from dualbrain.runtime.gatekeeper.remote_robot import RemoteRobot
 from dualbrain.runtime.gatekeeper.seals import Keys, genuine, proven
+from dualbrain.runtime.gatekeeper.wired import Wired
 from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
@@ -64,14 +65,16 @@ class Gatekeeper:
     """One robot, one door, one commander at a time."""
 
     def __init__(
-        self, body: Body, robot: RemoteRobot, door: Door, keys: Keys, capabilities: Mapping[str, Capability], *,
+        self, body: Body, robot: Wired, door: Door, keys: Keys, capabilities: Mapping[str, Capability], *,
         timing: Timing, recorder: Recorder | None = None, trace: Trace | None = None, stage: float = 1.0,
         standing: tuple[Obstacle, ...] = (), config: FilterConfig | None = None, off_at_first: bool = False,
+        monotonic: Callable[[], float] = time.monotonic, ended: Callable[[Outcome], None] = lambda outcome: None,
     ) -> None:  # fmt: skip
         """Bind everything; the robot stands still until a contract is accepted.
 
         `standing` is what a site says stands there for good; `config` are the filter's dials for this robot, and
-        `off_at_first` says that its drive has to be switched on.
+        `off_at_first` says that its drive has to be switched on. Peers are timed by `monotonic` [s]; `ended` is told
+        every outcome.
         """
         self.robot, self.door, self.hand = robot, door, Hand(stage)
         self._keys, self._capabilities = keys, dict(capabilities)
@@ -85,6 +88,7 @@ class Gatekeeper:
         self._asker: Peer | None = None
         self._quit, self._busy, self._ticks = False, False, 0
         self._off_at_first = off_at_first
+        self._monotonic, self._ended = monotonic, ended
         self._tokens: dict[str, tuple[float, float]] = {}
         self._body = body
         self.layer = LocalLayer(
@@ -115,6 +119,15 @@ class Gatekeeper:
         gc.unfreeze()
         gc.enable()
 
+    @property
+    def busy(self) -> bool:
+        """Whether a contract runs, is next, or is being judged."""
+        return self._busy or self._next is not None or self._clerk.busy
+
+    def settle(self) -> None:
+        """Wait for the clerk, where time stands still meanwhile: lockstep does not depend on the machine."""
+        self._clerk.settle()
+
     def shut_down(self) -> None:
         """End after this tick, or as soon as the contract that runs has been braked off."""
         self._quit = True
@@ -126,6 +139,7 @@ class Gatekeeper:
         self._busy = True
         outcome = self.layer.run(contract)
         self._busy = False
+        self._ended(outcome)
         if self._asker in self.door.peers and self._asker:
             self._asker.say(Ended(outcome, dict(self._log.binding)))
 
@@ -133,7 +147,7 @@ class Gatekeeper:
 
     def _service(self) -> int:
         """Hear, answer, and say which conditions hold; called by the local layer in every tick."""
-        now = time.monotonic()
+        now = self._monotonic()
         self._ticks += 1
         for peer, sequence, message in self.door.hear(now):
             self._take(peer, sequence, message, now)
@@ -162,7 +176,7 @@ class Gatekeeper:
         order = self.layer.spine.order
         beat = Beat(
             now=self.robot.clock(), action=order.action.name, cause=order.cause.value, check=order.check,
-            busy=self._busy or self._next is not None or self._clerk.busy,
+            busy=self.busy,
         )  # fmt: skip
         for peer in self.door.peers:
             if peer.role == "stranger" and now - peer.heard > NAMELESS:
@@ -265,7 +279,7 @@ class Gatekeeper:
         if not genuine(self._keys.secrets[peer.principal], peer.nonce, sequence, message):
             peer.fault = "a seal that is not genuine"
             return peer.fault
-        if self._busy or self._next is not None or self._clerk.busy:
+        if self.busy:
             return "busy: one contract at a time"
         if not self._afford(peer.principal, now):
             return "too many contracts: the granted rate is used up"
