@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dualbrain.drivers import fake_franka, fake_ur
-from dualbrain.drivers.fake_franka import FLAGS, MISSED, FakeFranka
+from dualbrain.drivers.fake_franka import FLAGS, FakeFranka
 from dualbrain.drivers.fake_ur import FakeUr
 from dualbrain.drivers.franka import EXCEPTIONS, FrankaDriver
 from dualbrain.drivers.trial import Subject, Trial
@@ -69,7 +69,7 @@ def test_velocity_limits_shrink_toward_the_end_of_a_joint():
     assert (low < 0).all()
 
 
-@pytest.mark.parametrize(("silent", "aborted"), [(MISSED - 1, False), (MISSED, True)])
+@pytest.mark.parametrize(("silent", "aborted"), [(19, False), (20, True)])
 def test_twenty_packets_missed_in_a_row_and_not_one_fewer_end_the_motion(silent, aborted):
     trial, sdk = at_work()
     trial.wait(silent)
