@@ -1,10 +1,12 @@
 """dualbrain adapt: a dry run says what would teach and what not and why; an export can be read by others."""
 
 import json
+import sys
 
+import msgspec
 import pytest
 
-from dualbrain.adaptation.dataset import read_dataset
+from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
 from dualbrain.cli.exits import Exit
 from dualbrain.memory.ledger import LedgerReader
 from tests.adaptation.episodes import episode, remember, several, summary
@@ -63,3 +65,22 @@ def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
     assert (code, out) == (Exit.SETUP, "")
     assert word in err
     assert "Traceback" not in err
+
+
+def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tmp_path):
+    monkeypatch.delitem(sys.modules, "dualbrain.adaptation.fitting.night", raising=False)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    code, out, err = tell("adapt", "--out", "fit")
+    assert (code, out) == (Exit.SETUP, "")
+    assert "torch, of the extra `adapt`, is missing" in err
+    assert "dualbrain[adapt]" in err
+    assert len(read_dataset(tmp_path / "fit" / "dataset").train)
+
+
+def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
+    tell("adapt", "--export", "fit/dataset")
+    card = msgspec.structs.replace(read_card(tmp_path / "fit" / "dataset"), registry="00000000")
+    (tmp_path / "fit" / "dataset" / CARD).write_bytes(msgspec.json.encode(card))
+    code, _, err = tell("adapt", "--out", "fit")
+    assert code == Exit.SETUP
+    assert "The vocabulary has changed" in err

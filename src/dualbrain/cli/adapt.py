@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,28 +12,38 @@ from rich.table import Table
 
 from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache
 from dualbrain.cli.memory_open import reader, tell
+from dualbrain.errors import InvalidSetup, MissingPart
+
+DATASET = "dataset"
 
 Flag = Annotated[bool, Parameter(negative="")]
 
 
 def adapt(
-    *, robot: str = "panda", ledger: Path | None = None, config: Path | None = None, export: Path | None = None,
-    dry_run: Flag = False, json: Flag = False,
+    *, robot: str = "panda", base: str = "smollm2-135m-instruct", ledger: Path | None = None,
+    config: Path | None = None, out: Path | None = None, export: Path | None = None, dry_run: Flag = False,
+    json: Flag = False,
 ) -> int:  # fmt: skip
     """Learn from what went well: choose the clean episodes of a robot and fit an adapter of the planner on them.
 
     Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
-    one in which a person's hand was. Nothing in memory is changed.
+    one in which a person's hand was. Nothing in memory is changed. The adapter is used by nobody until it is promoted.
+    Interrupted in any way, the same command with the same --out goes on where it was.
 
     Parameters
     ----------
     robot
         Whose planner.
+    base
+        The model that is adapted, from `dualbrain models list`.
     ledger
         Which memory; default in dualbrain's home.
     config
         A TOML file with the dials.
+    out
+        Where data set, checkpoints and adapter go; default a new folder under runs.
     export
         Write the data set there (JSON lines in prompt-completion form, and its card), and fit nothing.
     dry_run
@@ -40,22 +52,75 @@ def adapt(
         Print one JSON object on stdout.
     """
     from dualbrain.adaptation.config import AdaptConfig, read_config
-    from dualbrain.adaptation.curate import curate
-    from dualbrain.adaptation.dataset import dataset_of, write_dataset
     from dualbrain.runtime.vocabulary import vocabulary
 
-    dials = read_config(config) if config else AdaptConfig()
-    registry = vocabulary(robot)
+    dials, registry = read_config(config) if config else AdaptConfig(), vocabulary(robot)
+    if out is not None and (out / DATASET / "dataset.json").is_file() and not (dry_run or export):
+        from dualbrain.adaptation.dataset import read_dataset
+
+        Account().print(f"going on with the data set in {out}")
+        return _fit(read_dataset(out / DATASET), dials, registry, base, out, json=json)
+    dataset = _chosen(ledger, registry, dials, json=json and (dry_run or export is not None))
+    if dry_run:
+        return Exit.SUCCESS
+    from dualbrain.adaptation.dataset import write_dataset
+
+    if export is not None:
+        write_dataset(dataset, export)
+        return Exit.SUCCESS
+    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
+    write_dataset(dataset, folder / DATASET)
+    return _fit(dataset, dials, registry, base, folder, json=json)
+
+
+def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> Any:
+    """The data set of the ledger, told on stderr, or on stdout as JSON."""
+    from dualbrain.adaptation.curate import curate
+    from dualbrain.adaptation.dataset import dataset_of
+
     with reader(ledger) as opened:
         curated = curate(opened, registry, dials.curation)
     dataset = dataset_of(curated, registry, dials.curation)
-    if export and not dry_run:
-        write_dataset(dataset, export)
     if json:
         tell({"card": dataset.card, "left_out": curated.left_out, "samples": _briefly(curated)})
     else:
         _say(dataset.card, curated)
+    return dataset
+
+
+def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, json: bool) -> int:
+    """Fit an adapter, with its progress on stderr."""
+    from dualbrain import weights
+    from dualbrain.adaptation.compliance import gate_judge
+    from dualbrain.cli.adapters import registry_of_adapters
+
+    if dataset.card.registry != registry.hash:
+        got, fix = dataset.card.registry, "The vocabulary has changed since: choose anew, with another --out."
+        raise InvalidSetup("registry of the data set", got=got, allowed=registry.hash, fix=fix)
+    try:
+        from dualbrain.adaptation.fitting.night import Base, adapt
+    except ModuleNotFoundError as error:
+        fix = "Install it with `pip install 'dualbrain[adapt]'`."
+        raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+    file, path = weights.find_file(base), weights.locate(base, cache())
+    account = Account()
+    card = adapt(
+        dataset, dials, Base(base, path, file.sha256), gate_judge(registry), folder, cache=cache(),
+        clock=time.monotonic, tell=lambda progress: account.print(_line(progress)),
+    )  # fmt: skip
+    registry_of_adapters().add(folder / "adapter", now=time.time())
+    account.print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
+    if json:
+        tell(card)
     return Exit.SUCCESS
+
+
+def _line(progress: Any) -> str:
+    """One step for a person."""
+    words = f"step {progress.step}/{progress.steps}  loss {progress.cross_entropy:.3f}  KL {progress.divergence:.4f}"
+    if progress.held_out is not None:
+        words += f"  held out: {progress.held_out.compliance:.0%} compliant, loss {progress.held_out.loss:.3f}"
+    return f"{words}  {progress.seconds_left / 60.0:.1f} min left"
 
 
 def _briefly(curated: Any) -> list[dict[str, Any]]:

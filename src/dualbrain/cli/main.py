@@ -27,6 +27,8 @@ memory = App(name="memory", help="What happened: look at memory, audit it, mend 
 app.command(memory)
 models = App(name="models", help="Model weights: what there is, and fetch it.")
 app.command(models)
+adapters = App(name="adapters", help="Adapters of the planner: which there are, which one serves, and why.")
+app.command(adapters)
 robot = App(
     name="robot", help="Robots: `init` makes one from its description, `identify` measures how it follows its commands."
 )
@@ -86,6 +88,17 @@ robot.command(
 )  # fmt: skip
 robot.command("dualbrain.cli.robot_conform:conform", name="conform", help="Try the driver contract on a driver.")
 robot.command("dualbrain.cli.robot_commission:commission", name="commission", help="Answer for a real arm.")
+
+for _name, _function, _help in (
+    ("list", "list_adapters", "List adapters, and which one serves."),
+    ("show", "show", "Show the card of one adapter and what became of it."),
+    ("verify", "verify", "Check that all weights are those that their ids name."),
+    ("promote", "promote", "Let an adapter serve, if it was measured better."),
+    ("rollback", "rollback", "Let the former one serve again."),
+    ("history", "history", "List promotions and rollbacks."),
+    ("export", "export", "Copy an adapter to a folder that peft and vLLM load."),
+):
+    adapters.command(f"dualbrain.cli.adapters:{_function}", name=_name, help=_help)
 
 for verb, function, words in (
     ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "

@@ -1,0 +1,74 @@
+"""What an adapter is, in one file beside it: which weights, from what base and data, by which dials, how it did."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.patience import HeldOut
+from dualbrain.errors import InvalidSetup, MissingPart
+
+CARD, WEIGHTS = "adapter.json", "adapter_model.safetensors"
+
+
+class AdapterCard(msgspec.Struct, frozen=True):
+    """`id` is the SHA-256 of the weights: never given to other weights. `base` and `base_sha256` name what it sits on.
+
+    It is of use with this `robot`, `registry` (vocabulary) and `prompt` (template) only. `dataset` is the hash of what
+    it was taught, `sources` counts who proposed that; `bootstrapped` is true if it was anybody but the base itself.
+    `held_out` is what the fit saw, in torch and on few questions: no measure to promote it by.
+    """
+
+    id: str
+    base: str
+    base_sha256: str
+    robot: str
+    registry: str
+    prompt: str
+    dataset: str
+    sources: dict[str, int]
+    bootstrapped: bool
+    precision: str
+    steps: int
+    held_out: HeldOut | None
+    config: AdaptConfig
+    versions: dict[str, str]
+
+
+def weights_id(folder: Path) -> str:
+    """SHA-256 of the weights in `folder`."""
+    path = folder / WEIGHTS
+    if not path.is_file():
+        raise MissingPart(f"The adapter {folder}", fix="Make one with `dualbrain adapt`.")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def write_card(card: AdapterCard, folder: Path) -> None:
+    """Write `card` beside the weights."""
+    write_durably(folder / CARD, msgspec.json.format(msgspec.json.encode(card), indent=2))
+
+
+def read_adapter_card(folder: Path) -> AdapterCard:
+    """The card in `folder`; raises `InvalidSetup` if it cannot be read or the weights are not those that it names."""
+    path = folder / CARD
+    found = weights_id(folder)
+    try:
+        card = msgspec.json.decode(path.read_bytes(), type=AdapterCard)
+    except (OSError, msgspec.DecodeError) as error:
+        raise InvalidSetup(
+            "adapter card", got=str(error), allowed="as this program writes it", fix=str(path)
+        ) from error
+    if card.id != found:
+        raise InvalidSetup(
+            "adapter weights", got=found, allowed=card.id, fix=f"They were changed: do not use. {folder}"
+        )
+    return card
+
+
+def proposed_by_others(sources: dict[str, int], base: str) -> bool:
+    """Whether any sample was proposed by another than `base`, bare or with an adapter of its own."""
+    return any(source != base and not source.startswith(f"{base}+") for source in sources)

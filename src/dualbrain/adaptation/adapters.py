@@ -1,0 +1,207 @@
+"""The registry of adapters: folders named by the hash of their weights, and a journal of what became of them."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from dualbrain.adaptation.adapter_card import CARD, WEIGHTS, AdapterCard, read_adapter_card
+from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.adaptation.promotion import Decision
+from dualbrain.errors import DualbrainError, InvalidSetup, UnknownName
+
+CONFIG, JOURNAL, LOCK = "adapter_config.json", "journal.jsonl", ".lock"
+FILES = (WEIGHTS, CONFIG, CARD)
+BARE = ""
+"""The id of no adapter: the base as it is."""
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """One line of the journal: what was done to `adapter`, at `time` [s, 1970 UTC], why, and on what measurement.
+
+    `place` is robot and hash of the base: each place has one champion. After "rolled back", `adapter` serves again.
+    """
+
+    kind: Literal["added", "promoted", "rolled back"]
+    adapter: str
+    place: tuple[str, str]
+    time: float
+    reason: str = ""
+    decision: Decision | None = None
+
+
+class Adapters:
+    """All adapters in one folder. Nothing in it is ever changed or deleted; the journal only grows.
+
+    Promise: a crash, a full disk or a kill at any moment leaves every adapter and the champion as before or as after
+    it. An id belongs to one content for good. Only what a decision of the gate supports is promoted.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Use `folder`; it is made by the first `add`."""
+        self.folder = folder
+
+    def add(self, source: Path, *, now: float) -> AdapterCard:
+        """Take in the adapter in the folder `source`; one that is here already stays as it is."""
+        card = read_adapter_card(source)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with self._alone():
+            if not (self.folder / card.id).is_dir():
+                self._copy(source, self.folder / card.id)
+            if not any(entry.adapter == card.id for entry in self.journal()):
+                self._append(Entry("added", card.id, place_of(card), now))
+        return card
+
+    def ids(self) -> tuple[str, ...]:
+        """Ids in the order in which they came."""
+        return tuple(entry.adapter for entry in self.journal() if entry.kind == "added")
+
+    def find(self, name: str) -> str:
+        """The one id that begins with `name`; raises `UnknownName`."""
+        found = [one for one in self.ids() if name and one.startswith(name)]
+        if len(found) != 1:
+            raise UnknownName("adapter", name, tuple(one[:16] for one in self.ids()), owner="this registry")
+        return found[0]
+
+    def card(self, name: str) -> AdapterCard:
+        """The card of one adapter, after its weights were found to be those that it names."""
+        return read_adapter_card(self.folder / self.find(name))
+
+    def journal(self) -> tuple[Entry, ...]:
+        """All entries, oldest first. A last line that was cut off by a crash never happened."""
+        path = self.folder / JOURNAL
+        if not path.is_file():
+            return ()
+        *lines, _torn = path.read_bytes().split(b"\n")
+        try:
+            return tuple(msgspec.json.decode(line, type=Entry) for line in lines)
+        except msgspec.DecodeError as error:
+            raise InvalidSetup("adapter journal", got=str(error), allowed="as it was written", fix=str(path)) from error
+
+    def champion(self, place: tuple[str, str]) -> str:
+        """The adapter that serves at `place`, `BARE` if none does."""
+        return self._history(place)[-1]
+
+    def promote(self, name: str, decision: Decision, *, now: float) -> None:
+        """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
+
+        Raises `NotPromoted` with the reasons, `InvalidSetup` for a decision about others.
+        """
+        card = self.card(name)
+        with self._alone():
+            present = self.champion(place_of(card))
+            if (decision.candidate, decision.champion) != (card.id, present):
+                got = f"{decision.candidate[:16]} against {decision.champion[:16] or 'the bare base'}"
+                allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
+                raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
+            if not decision.promotes:
+                raise NotPromoted(card.id, decision.against)
+            self._append(Entry("promoted", card.id, place_of(card), now, decision=decision))
+
+    def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
+        """Give the place back to whom it had before, and return that id; at last to the bare base."""
+        if not reason.strip():
+            raise InvalidSetup("reason", got=reason, allowed="a few words", fix="Say why with --reason.")
+        with self._alone():
+            history = self._history(place)
+            if len(history) < 2:
+                raise InvalidSetup("champion", got="the bare base", allowed="a promoted adapter")
+            self._append(Entry("rolled back", history[-2], place, now, reason))
+            return history[-2]
+
+    def verify(self) -> dict[str, str]:
+        """What is wrong with each adapter, "" if nothing is."""
+        return {one: self._fault(one) for one in self.ids()}
+
+    def _fault(self, one: str) -> str:
+        try:
+            card = read_adapter_card(self.folder / one)
+        except DualbrainError as error:
+            return str(error)
+        return "" if card.id == one else f"its folder holds {card.id[:16]}"
+
+    def _history(self, place: tuple[str, str]) -> list[str]:
+        """Who served at `place`, without what was rolled back; the last serves now."""
+        stack = [BARE]
+        for entry in self.journal():
+            if entry.place == place and entry.kind == "promoted":
+                stack.append(entry.adapter)
+            elif entry.place == place and entry.kind == "rolled back":
+                stack.pop()
+        return stack
+
+    def _copy(self, source: Path, target: Path) -> None:
+        """Bring the files to `target`, all or none."""
+        beside = Path(tempfile.mkdtemp(dir=self.folder, prefix=".adding-"))
+        try:
+            for name in FILES:
+                shutil.copyfile(source / name, beside / name)
+                with (beside / name).open("rb") as written:
+                    os.fsync(written.fileno())
+            read_adapter_card(beside)
+            sync_folder(beside)
+            beside.rename(target)
+            sync_folder(self.folder)
+        except OSError as error:
+            raise DiskFull(target, error.strerror or str(error)) from error
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+
+    def _append(self, entry: Entry) -> None:
+        """Add one line; what a crash left of a former one is cut off first."""
+        path = self.folder / JOURNAL
+        try:
+            with path.open("a+b", buffering=0) as journal:
+                journal.seek(0)
+                whole = journal.read().rfind(b"\n") + 1
+                journal.truncate(whole)
+                line = msgspec.json.encode(entry) + b"\n"
+                if journal.write(line) != len(line):
+                    journal.truncate(whole)
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(journal.fileno())
+        except OSError as error:
+            raise DiskFull(path, error.strerror or str(error)) from error
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        with (self.folder / LOCK).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+
+class NotPromoted(DualbrainError):
+    """The gate measured no reason to promote, or one not to."""
+
+    def __init__(self, adapter: str, against: tuple[str, ...]) -> None:
+        """Name the adapter and the reasons."""
+        self.adapter, self.against = adapter, against
+        super().__init__(f"adapter {adapter[:16]} was not promoted: {'; '.join(against)}.")
+
+
+def place_of(card: AdapterCard) -> tuple[str, str]:
+    """Where an adapter may serve: with this robot, on this base."""
+    return card.robot, card.base_sha256
+
+
+def fits(card: AdapterCard, *, robot: str, registry: str, base_sha256: str, prompt: str) -> str:
+    """Why an adapter must not serve here, "" if it may.
+
+    Another robot, base or prompt template refuses for good. So does another vocabulary: its hash holds skills, units
+    and bounds, and an adapter writes what it was taught.
+    """
+    pairs = {
+        "robot": (card.robot, robot), "registry": (card.registry, registry), "base": (card.base_sha256, base_sha256),
+        "prompt template": (card.prompt, prompt),
+    }  # fmt: skip
+    wrong = [f"{name} {theirs[:16]}, here {ours[:16]}" for name, (theirs, ours) in pairs.items() if theirs != ours]
+    return f"made for {'; '.join(wrong)}" if wrong else ""

@@ -1,0 +1,32 @@
+"""Whether a planner's free answer is a contract that the gate accepts, and how many of them are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from dualbrain.adaptation.sample import Sample
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.verdict import Accepted
+
+Judge = Callable[[str, Sample], bool]
+"""Whether a text is a sound answer to the prompt of a sample."""
+
+
+def gate_judge(registry: Registry) -> Judge:
+    """Accepts what all three stages accept in the sample's scene; a declined task is no compliant answer here.
+
+    Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting.
+    """
+    gate = Gate(registry, {"planner": frozenset(registry.by_name)})
+
+    def accepts(text: str, sample: Sample) -> bool:
+        verdict = gate.check(text.encode("utf-8", "surrogatepass"), names=sample.names, principal="planner", now=0.0)
+        return isinstance(verdict, Accepted) and all(a.skill != "decline" for a in verdict.contract.action_sequence)
+
+    return accepts
+
+
+def share(judge: Judge, answers: Sequence[str], samples: Sequence[Sample]) -> float:
+    """The share of `answers` that are sound, in [0, 1]."""
+    return sum(judge(text, sample) for text, sample in zip(answers, samples, strict=True)) / max(1, len(samples))

@@ -1,0 +1,1 @@
+"""Fitting an adapter; everything in here needs torch (`pip install dualbrain[adapt]`), nothing else does."""

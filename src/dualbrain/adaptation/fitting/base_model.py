@@ -1,0 +1,55 @@
+"""The base in torch, made from the very GGUF that serves: what is adapted is what answers."""
+
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import torch
+from transformers import AutoModelForCausalLM, AutoTokenizer
+
+from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.errors import InvalidSetup
+
+
+def open_base(gguf: Path, sha256: str, cache: Path, dtype: Any) -> tuple[Any, Any]:
+    """Model and tokenizer of the file `gguf`, whose verified hash is `sha256`; no network, no code from files.
+
+    The first time it is dequantised into `cache`, 4 bytes a parameter: block scales times quanta, in float32, as
+    llama.cpp does; so in float32 the weights are exactly those that serve. `dtype` bf16 rounds each by at most 2^-9 of
+    itself. llama.cpp also rounds activations to 8 bits, which torch does not: gate and canary run where it serves.
+    """
+    folder = cache / "torch" / sha256[:32]
+    if not folder.is_dir():
+        _dequantise(gguf, folder)
+    tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
+    model = AutoModelForCausalLM.from_pretrained(
+        folder, dtype=dtype, attn_implementation="eager", local_files_only=True, use_safetensors=True
+    )  # eager: at some 200 tokens quicker on a processor than the fused attention, whose backward is slow
+    if tokenizer.chat_template is None:
+        raise InvalidSetup("base", got=f"{gguf.name}, without a chat template", allowed="an instruction-tuned model")
+    return model.eval().requires_grad_(False), tokenizer
+
+
+def _dequantise(gguf: Path, folder: Path) -> None:
+    """Write the model as safetensors with its tokenizer, whole or not at all."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".dequantised-"))
+    try:
+        packed = AutoModelForCausalLM.from_pretrained(gguf.parent, gguf_file=gguf.name, dtype=torch.float32)
+        told = {k: v for k, v in packed.config.to_dict().items() if k not in ("quantization_config", "_name_or_path")}
+        plain = type(packed)(type(packed.config)(**told))
+        plain.load_state_dict(packed.state_dict(), strict=False)
+        plain.tie_weights()
+        plain.save_pretrained(beside, safe_serialization=True)
+        AutoTokenizer.from_pretrained(gguf.parent, gguf_file=gguf.name).save_pretrained(beside)
+        beside.rename(folder)
+        sync_folder(folder.parent)
+    except OSError as error:
+        raise DiskFull(folder, error.strerror or str(error)) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)

@@ -1,0 +1,181 @@
+"""Fitting an adapter: steps along the objective, checkpoints, and a stop when held-out answers get no better."""
+
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import torch
+from safetensors.torch import load_file, save
+
+from dualbrain.adaptation.compliance import Judge, share
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.dataset import Dataset
+from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
+from dualbrain.adaptation.fitting.checkpoint import Mark, load_checkpoint, save_checkpoint
+from dualbrain.adaptation.fitting.learner import Learner
+from dualbrain.adaptation.fitting.masters import Masters
+from dualbrain.adaptation.fitting.objective import Loss, log_probabilities, objective
+from dualbrain.adaptation.fitting.taught import Taught
+from dualbrain.adaptation.patience import HeldOut, Patience
+from dualbrain.adaptation.schedule import batches, rate
+from dualbrain.errors import DualbrainError
+
+CHECKPOINT, BEST = "checkpoint.safetensors", "best.safetensors"
+ROOM = 1.5
+"""A free answer may be this many times as long as the longest contract that was taught."""
+
+
+class Diverged(DualbrainError):
+    """Loss or gradient stopped being a number; the last checkpoint is from before."""
+
+    def __init__(self, step: int, what: str) -> None:
+        """Name the step, and what was no number."""
+        self.step, self.what = step, what
+        super().__init__(
+            f"the {what} of step {step} is not finite. Nothing of this step was kept. Lower `[fit] rate`, or set "
+            f'`precision = "float32"`.'
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a fit is: mean cross-entropy and divergence of the last step [nats/token], time left [s] at its pace."""
+
+    step: int
+    steps: int
+    cross_entropy: float
+    divergence: float
+    seconds_left: float
+    held_out: HeldOut | None
+
+
+class Fit:
+    """One fit in one folder. Run again after any interruption, it ends as if it had never been interrupted.
+
+    Promise: the result is a function of data, dials and base alone, on one machine with one number of threads; it does
+    not depend on when or how often the process was killed. No step is kept whose loss was not a number.
+    """
+
+    def __init__(
+        self, learner: Learner, taught: Taught, dataset: Dataset, config: AdaptConfig, judge: Judge, folder: Path, *,
+        base: str, clock: Callable[[], float],
+    ) -> None:  # fmt: skip
+        """Begin, or go on where the checkpoint in `folder` stands; `clock` [s] only tells the time left."""
+        self._learner, self._taught, self._asked = learner, taught, dataset.held_out
+        self._config, self._judge, self._folder, self._clock = config, judge, folder, clock
+        self._masters = Masters(learner.parameters)
+        self._plan = batches(taught.shown, config.fit)
+        self._run = run_key(dataset, config, base, str(learner.head.dtype))
+        self.step, self.patience = 0, Patience()
+        if found := load_checkpoint(folder / CHECKPOINT, self._run):
+            mark, tensors = found
+            self._masters.load(tensors)
+            self.step, self.patience = mark.step, mark.patience
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are taken, or nothing got better for long enough."""
+        return self.step >= self._config.fit.steps or self.patience.waited >= self._config.fit.patience
+
+    def run(self, tell: Callable[[Progress], None] = lambda progress: None) -> HeldOut | None:
+        """Take all steps that are left and wear the best adapter; returns its held-out result, None without that part.
+
+        Raises `Diverged`, `DiskFull`.
+        """
+        dials, first, began = self._config.fit, self.step, self._clock()
+        while not self.finished:
+            cross_entropy, divergence = self._learn(self.step + 1)
+            self.step += 1
+            found = None
+            if self.step % dials.save_every == 0 or self.step == dials.steps:
+                found = self._examine()
+                save_checkpoint(
+                    self._folder / CHECKPOINT, Mark(self._run, self.step, self.patience), self._masters.state()
+                )
+            pace = (self._clock() - began) / (self.step - first)
+            left = pace * (dials.steps - self.step)
+            tell(Progress(self.step, dials.steps, cross_entropy, divergence, left, found))
+        self._learner.wear(load_file(self._folder / BEST))
+        return self.patience.best
+
+    def _learn(self, step: int) -> tuple[float, float]:
+        """One optimiser step; its mean cross-entropy and divergence [nats/token]."""
+        dials, rows = self._config.fit, self._plan[step - 1]
+        tokens = sum(len(self._taught.train[row].contract) for row in rows)
+        cross_entropy = divergence = 0.0
+        for start in range(0, len(rows), dials.at_once):
+            loss = self._part(rows[start : start + dials.at_once], tokens)
+            if not math.isfinite(value := float(loss.total.detach())):
+                raise Diverged(step, f"loss ({value})")
+            loss.total.backward()
+            cross_entropy += float(loss.cross_entropy)
+            divergence += float(loss.divergence)
+        norm = self._masters.step(rate(step, dials), dials.clip)
+        if not math.isfinite(norm):
+            raise Diverged(step, f"gradient ({norm})")
+        return cross_entropy, divergence
+
+    def _part(self, rows: Sequence[int], tokens: int) -> Loss:
+        """The share that some samples have in the loss of a step of `tokens` tokens."""
+        dials, learner = self._config.objective, self._learner
+        some = [self._taught.train[row] for row in rows]
+        batch = collate(some, learner.padding, device=str(learner.head.device))
+        hidden, labels = contract_states(learner.decoder, batch)
+        counts = torch.tensor(batch.counts)
+        weights = torch.tensor(self._taught.omega[list(rows)], dtype=torch.float32).repeat_interleave(counts)
+        return objective(
+            hidden, learner.head, labels, weights.to(learner.head.device), tokens, beta=dials.beta,
+            base_hidden=self._taught.states.states(some) if self._taught.states else None,
+            token_gate=dials.entropy_gate == "token",
+        )  # fmt: skip
+
+    def _examine(self) -> HeldOut | None:
+        """Ask what is held out; keep the adapter if it is the best so far, or if there is nothing to ask."""
+        found = None
+        if self._taught.held_out:
+            found = HeldOut(self.step, self._compliance(), self._held_out_loss())
+            if not math.isfinite(found.loss):
+                raise Diverged(self.step, f"held-out loss ({found.loss})")
+            self.patience = self.patience.after(found)
+        if found is None or self.patience.best == found:
+            write_durably(self._folder / BEST, save(self._learner.adapter()))
+        return found
+
+    def _compliance(self) -> float:
+        """The share of sound free answers to some held-out questions, evenly chosen; 0 if none is to be asked."""
+        every = self._taught.held_out
+        count = min(len(every), self._config.fit.ask_at_most)
+        rows = [i * len(every) // count for i in range(count)]
+        most = int(ROOM * max(len(one.contract) for one in self._taught.train))
+        answers: list[str] = []
+        for start in range(0, count, self._config.fit.at_once):
+            some = [every[row].prompt for row in rows[start : start + self._config.fit.at_once]]
+            answers += self._learner.answer(some, most)
+        return share(self._judge, answers, [self._asked[row] for row in rows])
+
+    @torch.no_grad()
+    def _held_out_loss(self) -> float:
+        """Mean cross-entropy over the contract tokens of all that is held out [nats/token]."""
+        total, tokens, every = 0.0, 0, self._taught.held_out
+        for start in range(0, len(every), self._config.fit.at_once):
+            some: Sequence[Encoded] = every[start : start + self._config.fit.at_once]
+            batch = collate(some, self._learner.padding, device=str(self._learner.head.device))
+            hidden, labels = contract_states(self._learner.decoder, batch)
+            log_p = log_probabilities(hidden, self._learner.head)
+            total -= float(log_p.gather(1, labels[:, None]).sum())
+            tokens += len(labels)
+        return total / tokens
+
+
+def run_key(dataset: Dataset, config: AdaptConfig, base: str, dtype: str) -> str:
+    """A name for everything that decides the result of a fit: data, objective, dials, base and number format."""
+    told = [dataset.card.hash, base, dtype, msgspec.to_builtins(config.objective), msgspec.to_builtins(config.fit)]
+    return hashlib.sha256(msgspec.json.encode(told)).hexdigest()[:32]

@@ -1,0 +1,167 @@
+"""The registry: what is in it never changes, only a decision of the gate promotes, and nothing is lost by a crash."""
+
+import json
+import resource
+
+import pytest
+
+from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, fits, place_of
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.durable import DiskFull
+from dualbrain.adaptation.promotion import Decision
+from dualbrain.errors import InvalidSetup, UnknownName
+
+PLACE = ("panda", "b" * 64)
+
+
+def made(folder, words, robot="panda"):
+    """An adapter as a fit leaves it."""
+    folder.mkdir()
+    (folder / WEIGHTS).write_bytes(words.encode())
+    (folder / "adapter_config.json").write_text("{}")
+    card = AdapterCard(
+        weights_id(folder),
+        "smollm2",
+        "b" * 64,
+        robot,
+        "r1",
+        "p1",
+        "d",
+        {},
+        False,
+        "float32",
+        7,
+        None,
+        AdaptConfig(),
+        {},
+    )
+    write_card(card, folder)
+    return folder
+
+
+@pytest.fixture
+def registry(tmp_path):
+    return Adapters(tmp_path / "adapters")
+
+
+@pytest.fixture
+def two(registry, tmp_path):
+    """A registry with two adapters, and their ids."""
+    return [registry.add(made(tmp_path / words, words), now=1.0).id for words in ("first", "second")]
+
+
+def yes(candidate, champion, against=()):
+    return Decision(candidate, champion, {}, tuple(against))
+
+
+def test_an_id_is_its_content_for_good(registry, two, tmp_path):
+    assert registry.ids() == tuple(two)
+    again = made(tmp_path / "again", "first")
+    (again / "adapter_config.json").write_text('{"other": 1}')
+    assert registry.add(again, now=2.0).id == two[0]
+    assert registry.ids() == tuple(two)
+    assert (registry.folder / two[0] / "adapter_config.json").read_text() == "{}"
+    assert registry.find(two[0][:8]) == two[0]
+    for name in ("", "zz", two[0] + "0"):
+        with pytest.raises(UnknownName):
+            registry.find(name)
+
+
+def test_promote_and_roll_back_are_a_stack(registry, two):
+    first, second = two
+    assert registry.champion(PLACE) == BARE
+    registry.promote(first, yes(first, BARE), now=2.0)
+    registry.promote(second, yes(second, first), now=3.0)
+    assert registry.champion(PLACE) == second
+    assert registry.champion(("ur5e", "b" * 64)) == BARE
+    assert registry.roll_back(PLACE, "a test", now=4.0) == first
+    assert registry.champion(PLACE) == first
+    registry.promote(second, yes(second, first), now=5.0)
+    assert [registry.roll_back(PLACE, "a test", now=6.0) for _ in range(2)] == [first, BARE]
+    with pytest.raises(InvalidSetup, match="bare base"):
+        registry.roll_back(PLACE, "a test", now=7.0)
+    with pytest.raises(InvalidSetup, match="reason"):
+        registry.roll_back(PLACE, " ", now=7.0)
+    assert [entry.time for entry in registry.journal()] == [1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.0]
+
+
+def test_only_a_decision_in_favour_about_these_two_promotes(registry, two):
+    first, second = two
+    with pytest.raises(NotPromoted, match="it fell") as refused:
+        registry.promote(first, yes(first, BARE, ["it fell"]), now=2.0)
+    assert refused.value.against == ("it fell",)
+    for decision in (yes(second, BARE), yes(first, second)):
+        with pytest.raises(InvalidSetup, match="measured adapters"):
+            registry.promote(first, decision, now=2.0)
+    assert registry.champion(PLACE) == BARE
+    registry.promote(first, yes(first, BARE), now=2.0)
+    with pytest.raises(InvalidSetup, match="Measure again"):
+        registry.promote(second, yes(second, BARE), now=3.0)
+    assert registry.champion(PLACE) == first
+
+
+def test_changed_weights_are_found_and_not_promoted(registry, two):
+    path = registry.folder / two[0] / WEIGHTS
+    path.write_bytes(b"f1rst")
+    assert registry.verify()[two[1]] == ""
+    assert "were changed" in registry.verify()[two[0]]
+    with pytest.raises(InvalidSetup, match="were changed"):
+        registry.promote(two[0], yes(two[0], BARE), now=2.0)
+    assert registry.champion(PLACE) == BARE
+
+
+def test_a_damaged_adapter_is_not_taken_in(registry, tmp_path):
+    bad = made(tmp_path / "bad", "bad")
+    (bad / WEIGHTS).write_bytes(b"worse")
+    with pytest.raises(InvalidSetup, match="were changed"):
+        registry.add(bad, now=1.0)
+    assert registry.ids() == ()
+
+
+def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
+    registry.promote(two[0], yes(two[0], BARE), now=2.0)
+    path = registry.folder / JOURNAL
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole.splitlines(keepends=True)[-1][:-7])
+    assert registry.champion(PLACE) == two[0]
+    assert registry.roll_back(PLACE, "a test", now=3.0) == BARE
+    assert [json.loads(line)["kind"] for line in path.read_text().splitlines()][-2:] == ["promoted", "rolled back"]
+
+
+def test_a_damaged_journal_is_told(registry, two):
+    path = registry.folder / JOURNAL
+    path.write_bytes(b"{}\n" + path.read_bytes())
+    with pytest.raises(InvalidSetup, match="adapter journal"):
+        registry.champion(PLACE)
+
+
+@pytest.mark.parametrize("room", [0, 10, 100])
+def test_a_full_disk_leaves_registry_and_champion(registry, two, tmp_path, room):
+    registry.promote(two[0], yes(two[0], BARE), now=2.0)
+    before = {path: path.read_bytes() for path in registry.folder.rglob("*") if path.is_file()}
+    third = made(tmp_path / "third", "third" * 100)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    journal = len((registry.folder / JOURNAL).read_bytes())
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(DiskFull):
+            registry.add(third, now=3.0)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (journal + room, limits[1]))
+        with pytest.raises(DiskFull):
+            registry.promote(two[1], yes(two[1], two[0]), now=3.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert {path: path.read_bytes() for path in registry.folder.rglob("*") if path.is_file()} == before
+    assert registry.champion(PLACE) == two[0]
+    registry.promote(two[1], yes(two[1], two[0]), now=4.0)
+    assert registry.champion(PLACE) == two[1]
+
+
+def test_it_serves_only_where_it_was_made_for(registry, two):
+    card = registry.card(two[0])
+    assert place_of(card) == PLACE
+    here = {"robot": "panda", "registry": "r1", "base_sha256": "b" * 64, "prompt": "p1"}
+    assert fits(card, **here) == ""
+    for name in here:
+        assert "made for" in fits(card, **(here | {name: "another"}))

@@ -1,0 +1,259 @@
+"""A fit ends as if it had never been interrupted, whatever interrupts it, and loses nothing when it cannot go on."""
+
+import json
+import os
+import resource
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dualbrain.adaptation.config import AdaptConfig, ObjectiveDials
+from dualbrain.adaptation.dataset import Dataset, DatasetCard
+from dualbrain.adaptation.durable import DiskFull
+from dualbrain.adaptation.sample import Sample, answer
+from dualbrain.errors import InvalidSetup
+
+torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
+peft = pytest.importorskip("peft", reason="the extra `adapt` is not installed")
+
+from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
+from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
+from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Diverged, Fit  # noqa: E402
+from dualbrain.adaptation.fitting.taught import prepare  # noqa: E402
+from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
+
+ANSWERS = ("grasp cup", "place", "push tin", "go home")
+STATES = "states.safetensors"
+DEFAULT = AdaptConfig(fit=DIALS)
+
+
+def exactly(text, sample):
+    return text == sample.contract
+
+
+def sample(number, words=None):
+    said = ANSWERS[number % 4] if words is None else words
+    turns = [{"role": "user", "content": f"do {number}"}]
+    return Sample(
+        f"s{number}", turns, answer(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
+        (number,), "a test", (), (),
+    )  # fmt: skip
+
+
+def dataset(train=9, held_out=3, name="a"):
+    rows = tuple(sample(i) for i in range(train + held_out))
+    card = DatasetCard(name, "", "panda", "", "", "", 0, 0, train, held_out, 0, 0, 0, {}, {}, 0.0, 1.5, 4, 0.2, "")
+    return Dataset(card, rows[:train], rows[train:])
+
+
+@dataclass
+class Bench:
+    """A fit of a tiny model in `folder`."""
+
+    folder: Path
+    data: Dataset = field(default_factory=dataset)
+    config: AdaptConfig = DEFAULT
+    judge: object = exactly
+    clock: object = lambda: 0.0
+
+    def __post_init__(self):
+        self.folder.mkdir(exist_ok=True)
+        self.learner = learner(self.config.fit)
+        taught = prepare(self.learner, self.data, self.config.objective, "base", self.folder / STATES)
+        self.fit = Fit(
+            self.learner, taught, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock
+        )
+
+    def run(self, tell=lambda progress: None):
+        return self.fit.run(tell)
+
+    def left(self):
+        """What the fit leaves: checkpoint and best adapter, to the byte, and nothing half-written."""
+        names = {path.name for path in self.folder.iterdir()}
+        assert names == {CHECKPOINT, BEST, STATES}
+        return {name: (self.folder / name).read_bytes() for name in names}
+
+
+def dials(**changed):
+    return AdaptConfig(fit=msgspec.structs.replace(DIALS, **changed))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What an uninterrupted fit leaves."""
+    bench = Bench(tmp_path_factory.mktemp("whole"))
+    bench.run()
+    return bench.left()
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(whole, tmp_path):
+    again, other = Bench(tmp_path / "again"), Bench(tmp_path / "other", config=dials(seed=1))
+    again.run()
+    other.run()
+    assert again.left() == whole
+    assert other.left()[BEST] != whole[BEST]
+
+
+@pytest.mark.parametrize("at", [1, 2, 3, 5])
+def test_after_kill_9_it_ends_as_if_nothing_had_happened(whole, tmp_path, at):
+    if (child := os.fork()) == 0:
+        bench = Bench(tmp_path / "fit")
+        bench.run(lambda progress: progress.step == at and os.kill(os.getpid(), signal.SIGKILL))
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+    bench = Bench(tmp_path / "fit")
+    assert bench.fit.step == at - at % DIALS.save_every
+    bench.run()
+    assert bench.left() == whole
+
+
+def test_a_finished_fit_takes_no_further_step(whole, tmp_path):
+    Bench(tmp_path / "fit").run()
+    told = []
+    found = Bench(tmp_path / "fit").run(told.append)
+    assert told == []
+    assert found is not None
+
+
+def test_a_loss_that_is_no_number_ends_it_and_nothing_of_it_is_kept(whole, tmp_path):
+    bench = Bench(tmp_path / "fit")
+
+    def poison(progress):
+        if progress.step == 3:
+            next(iter(bench.learner.parameters.values())).data.fill_(float("nan"))
+
+    with pytest.raises(Diverged, match="step 4") as caught:
+        bench.run(poison)
+    assert caught.value.step == 4
+    again = Bench(tmp_path / "fit")
+    assert again.fit.step == 2
+    again.run()
+    assert again.left() == whole
+
+
+def test_a_full_disk_ends_it_and_the_last_checkpoint_stands(whole, tmp_path):
+    bench = Bench(tmp_path / "fit")
+    before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    standing = {}
+
+    def fill(progress):
+        if progress.step == 3:
+            standing.update(bench.left())
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+
+    try:
+        with pytest.raises(DiskFull, match="unchanged"):
+            bench.run(fill)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
+    assert standing
+    assert bench.left() == standing
+    again = Bench(tmp_path / "fit")
+    assert again.fit.step == 2
+    again.run()
+    assert again.left() == whole
+
+
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(tmp_path):
+    Bench(tmp_path / "fit").run()
+    for change in (
+        {"config": dials(rate=0.5)},
+        {"config": AdaptConfig(fit=DIALS, objective=ObjectiveDials(beta=0.3))},
+        {"data": dataset(name="b")},
+    ):
+        with pytest.raises(InvalidSetup, match="other data, dials or base"):
+            Bench(tmp_path / "fit", **change)
+    path = tmp_path / "fit" / CHECKPOINT
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InvalidSetup, match="damaged"):
+        Bench(tmp_path / "fit")
+
+
+def test_samples_at_once_are_a_matter_of_memory_only(tmp_path):
+    four, one = Bench(tmp_path / "four"), Bench(tmp_path / "one", config=dials(at_once=1))
+    four.run()
+    one.run()
+    for name, tensor in four.learner.adapter().items():
+        torch.testing.assert_close(one.learner.adapter()[name], tensor, rtol=2e-2, atol=2e-4)
+
+
+def test_it_stops_early_and_wears_the_best(tmp_path):
+    bench = Bench(tmp_path / "fit", config=dials(rate=1e-9, steps=40, patience=2))
+    found = bench.run()
+    assert bench.fit.step == 6
+    assert found is not None
+    assert found.step == 2
+    assert bench.fit.finished
+
+
+def test_without_a_held_out_part_the_newest_is_kept(tmp_path):
+    bench = Bench(tmp_path / "fit", data=dataset(held_out=0))
+    assert bench.run() is None
+    assert bench.fit.step == DIALS.steps
+    assert (tmp_path / "fit" / BEST).is_file()
+
+
+def test_progress_tells_the_time_left(tmp_path):
+    ticks = iter(range(1000))
+    told = []
+    Bench(tmp_path / "fit", clock=lambda: 10.0 * next(ticks)).run(told.append)
+    assert [progress.step for progress in told] == [1, 2, 3, 4, 5, 6]
+    assert [progress.seconds_left for progress in told] == pytest.approx([50.0, 40.0, 30.0, 20.0, 10.0, 0.0])
+    assert [progress.held_out is not None for progress in told] == [False, True] * 3
+
+
+def test_four_contracts_are_learnt_by_heart(tmp_path):
+    """Free greedy answers are right at the end and were wrong at the beginning."""
+    rows = tuple(sample(i) for i in range(4))
+    same = Dataset(dataset().card, rows, rows)
+    config = dials(steps=120, rate=2e-2, rank=8, ask_at_most=4, save_every=40, patience=9)
+    bench = Bench(tmp_path / "fit", data=same, config=config)
+    prompts = [prompt_ids(bench.learner.tokenizer, row.prompt) for row in rows]
+    assert not any(map(exactly, bench.learner.answer(prompts, 20), rows))
+    found = bench.run()
+    assert found is not None
+    assert found.compliance == 1.0
+    assert all(map(exactly, bench.learner.answer(prompts, 20), rows))
+
+
+def test_an_adapter_is_what_peft_loads(tmp_path):
+    one = moved(learner())
+    write_adapter(one, tmp_path / "adapter", base="sha256 of the base")
+    loaded = peft.PeftModel.from_pretrained(model(), tmp_path / "adapter")
+    batch = collate(samples(3), one.padding)
+    with torch.no_grad():
+        ours, theirs = (m(input_ids=batch.ids, attention_mask=batch.mask).logits for m in (one.model, loaded))
+        base = model()(input_ids=batch.ids, attention_mask=batch.mask).logits
+    assert torch.equal(ours, theirs)
+    assert not torch.allclose(ours, base)
+    assert json.loads((tmp_path / "adapter" / "adapter_config.json").read_text())["r"] == DIALS.rank
+    assert not list((tmp_path / "adapter").glob("*.bin"))
+
+
+def test_nothing_that_is_too_long_is_cut(tmp_path):
+    data = Dataset(dataset().card, (sample(0, words="x" * 3000),), ())
+    with pytest.raises(InvalidSetup, match="tokens of sample s0"):
+        Bench(tmp_path / "fit", data=data)
+    with pytest.raises(InvalidSetup, match="training samples"):
+        Bench(tmp_path / "none", data=Dataset(dataset().card, (), ()))
+
+
+def test_a_base_whose_logits_are_made_otherwise_is_refused():
+    one = learner()
+    one.check(samples(1)[0])
+    one.head = one.head * 0.5
+    with pytest.raises(InvalidSetup, match="hidden"):
+        one.check(samples(1)[0])
+
+
+def test_the_tokens_are_those_of_the_chat_template():
+    words = tokenizer()
+    ids = prompt_ids(words, [{"role": "user", "content": "hello"}])
+    assert words.decode(list(ids)) == "u:helloA:"

@@ -1,0 +1,97 @@
+"""The gate: better beyond chance somewhere, much worse nowhere, on the same questions in the same runtime."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.adaptation.promotion import Decision, Results, Tolerances, Trial, decide
+from dualbrain.errors import InvalidSetup
+
+
+def results(adapter, sound, n=60, *, success=None, Delta=0.002, perplexity=10.0, runtime="llama"):
+    """`sound` of `n` questions are answered as they should be; all are carried out, `success` of them to the end."""
+    done = n if success is None else success
+    trials = tuple(
+        Trial(f"q{i}", i < sound, i < sound, i < done, Delta if i < done else 9.0 * (adapter == "new"))
+        for i in range(n)
+    )
+    return Results(adapter, runtime, perplexity, trials)
+
+
+def verdict(new, old, tolerances=None, seed=0):
+    return decide(new, old, tolerances or Tolerances(), np.random.default_rng(seed))
+
+
+def test_what_is_clearly_better_is_promoted():
+    found = verdict(results("new", 58), results("", 20))
+    assert found.promotes
+    assert found.measures["compliance"].gain == pytest.approx(38 / 60)
+    assert found.measures["compliance"].low > 0.0
+    assert msgspec.json.decode(msgspec.json.encode(found), type=Decision) == found
+
+
+def test_the_same_is_not():
+    found = verdict(results("new", 40), results("", 40))
+    assert found.against == ("nothing is better beyond chance",)
+
+
+def test_one_question_more_is_chance():
+    assert not verdict(results("new", 41), results("", 40)).promotes
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"success": 55}, "success fell"),
+        ({"Delta": 0.0026}, "Delta fell"),
+        ({"perplexity": 10.6}, "perplexity fell"),
+    ],
+)
+def test_better_in_form_does_not_pay_for_worse_elsewhere(change, word):
+    found = verdict(results("new", 58, **change), results("", 20))
+    assert not found.promotes
+    assert any(reason.startswith(word) for reason in found.against)
+    assert verdict(
+        results("new", 58, **change), results("", 20), Tolerances(success=0.1, Delta=0.001, perplexity=0.1)
+    ).promotes
+
+
+def test_a_fall_within_tolerance_is_borne():
+    assert verdict(results("new", 58, Delta=0.0024, perplexity=10.4), results("", 20)).promotes
+
+
+def test_delta_of_failures_does_not_count():
+    """The candidate's failures have Δ = 9; only questions that both brought to the end are compared."""
+    found = verdict(results("new", 58, success=59), results("", 20))
+    assert found.measures["Delta"].gain == pytest.approx(0.0)
+
+
+def test_less_intervention_alone_is_enough():
+    new, old = results("new", 40, Delta=0.001), results("", 40, Delta=0.003)
+    assert verdict(new, old).promotes
+    assert not verdict(old, new).promotes
+
+
+@given(st.integers(0, 40), st.integers(0, 40))
+@settings(max_examples=40, deadline=None)
+def test_never_both_ways(a, b):
+    one, other = results("one", a, n=40), results("other", b, n=40)
+    assert not (verdict(one, other).promotes and verdict(other, one).promotes)
+
+
+@pytest.mark.parametrize(
+    ("new", "old"),
+    [
+        (results("new", 10, n=29), results("", 5, n=29)),
+        (results("new", 10, n=31), results("", 5, n=30)),
+        (results("new", 10, runtime="torch"), results("", 5)),
+        (results("", 10), results("", 5)),
+        (results("new", 10, perplexity=float("nan")), results("", 5)),
+        (msgspec.structs.replace(results("new", 10), trials=results("new", 10).trials[:-1] * 2), results("", 5)),
+    ],
+)
+def test_what_does_not_compare_is_refused(new, old):
+    with pytest.raises(InvalidSetup):
+        verdict(new, old)

@@ -1,0 +1,60 @@
+"""A model small enough for a test: two layers, 32 numbers wide, random weights, bytes as tokens. Nothing is fetched."""
+
+import torch
+from tokenizers import Tokenizer, decoders, models, pre_tokenizers
+from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
+
+from dualbrain.adaptation.config import FitDials
+from dualbrain.adaptation.fitting.batch import Encoded
+from dualbrain.adaptation.fitting.learner import Learner
+
+torch.set_num_threads(1)
+TEMPLATE = "{% for m in messages %}{{ m['role'][0] + ':' + m['content'] }}{% endfor %}A:"
+DIALS = FitDials(steps=6, batch=4, at_once=4, rank=4, alpha=8, save_every=2, warm_up=2, rate=1e-2, ask_at_most=2)
+
+
+def tokenizer():
+    letters = sorted(pre_tokenizers.ByteLevel.alphabet())
+    vocabulary = {letter: number for number, letter in enumerate([*letters, "<end>", "<pad>"])}
+    inner = Tokenizer(models.BPE(vocab=vocabulary, merges=[]))
+    inner.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
+    inner.decoder = decoders.ByteLevel()
+    made = PreTrainedTokenizerFast(tokenizer_object=inner, eos_token="<end>", pad_token="<pad>")
+    made.chat_template = TEMPLATE
+    return made
+
+
+def model(seed=0, layers=2):
+    torch.manual_seed(seed)
+    shape = LlamaConfig(
+        vocab_size=258, hidden_size=32, intermediate_size=48, num_hidden_layers=layers, num_attention_heads=4,
+        num_key_value_heads=2, max_position_embeddings=2048, tie_word_embeddings=True, pad_token_id=257,
+        eos_token_id=256, bos_token_id=256, initializer_range=0.2,
+    )  # fmt: skip
+    made = LlamaForCausalLM(shape).eval().requires_grad_(False)
+    made.config._attn_implementation = "eager"
+    return made
+
+
+def learner(dials=DIALS):
+    return Learner(model(), tokenizer(), dials)
+
+
+def moved(one, size=0.2, seed=3):
+    """Move the adapter away from where it begins, so that it changes something."""
+    torch.manual_seed(seed)
+    with torch.no_grad():
+        for parameter in one.parameters.values():
+            parameter.add_(size * torch.randn_like(parameter))
+    return one
+
+
+def samples(n, seed=1, longest=12):
+    """Questions and answers of random tokens, of unequal length."""
+    made = torch.Generator().manual_seed(seed)
+
+    def some(least):
+        length = int(torch.randint(least, longest, (1,), generator=made))
+        return tuple(torch.randint(0, 250, (length,), generator=made).tolist())
+
+    return [Encoded(f"s{i}", some(3), (*some(2), 256)) for i in range(n)]

@@ -1,0 +1,72 @@
+"""dualbrain adapters: on its whole way from added to promoted to rolled back, by measurement only."""
+
+import json
+
+import msgspec
+import pytest
+
+from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.promotion import Measured
+from dualbrain.cli.exits import Exit
+from dualbrain.weights import find_file
+from tests.adaptation.test_promotion import results
+
+
+@pytest.fixture
+def name(tmp_path):
+    """An adapter in the registry of this home, by its id."""
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / WEIGHTS).write_bytes(b"weights")
+    (source / "adapter_config.json").write_text("{}")
+    base = "smollm2-135m-instruct"
+    card = AdapterCard(
+        weights_id(source), base, find_file(base).sha256, "panda", "r", "p", "d" * 64, {base: 2}, False, "float32", 7,
+        None, AdaptConfig(), {},
+    )  # fmt: skip
+    write_card(card, source)
+    return Adapters(tmp_path / "adapters").add(source, now=0.0).id
+
+
+def test_on_its_whole_way(tell, name, tmp_path):
+    measured = tmp_path / "measured.json"
+    measured.write_bytes(msgspec.json.encode(Measured(results(name, 21), results("", 20))))
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "measured.json")
+    assert code == Exit.FAILED_SAFELY
+    assert "nothing is better beyond chance" in err
+    measured.write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "measured.json")[0] == Exit.SUCCESS
+    assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == [name]
+    code, _, err = tell("adapters", "rollback", "--reason", "a test")
+    assert code == Exit.SUCCESS
+    assert "the bare base serves again" in err
+    kinds = [entry["kind"] for entry in json.loads(tell("adapters", "history", "--json")[1])["journal"]]
+    assert kinds == ["added", "promoted", "rolled back"]
+    assert tell("adapters", "rollback", "--reason", "a test")[0] == Exit.SETUP
+
+
+def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
+    assert name[:16] in tell("adapters", "list")[1]
+    assert json.loads(tell("adapters", "show", name[:8])[1])["card"]["id"] == name
+    assert tell("adapters", "export", name[:8], "out")[0] == Exit.SUCCESS
+    assert (tmp_path / "out" / WEIGHTS).read_bytes() == b"weights"
+    assert tell("adapters", "verify")[0] == Exit.SUCCESS
+    (tmp_path / "adapters" / name / WEIGHTS).write_bytes(b"others")
+    code, out, _ = tell("adapters", "verify")
+    assert code == Exit.FAILED_SAFELY
+    assert "were changed" in out
+    assert tell("adapters", "export", name[:8], "out2")[0] == Exit.SETUP
+    assert not (tmp_path / "out2").exists()
+
+
+@pytest.mark.parametrize("arguments", [("show", "abcd"), ("promote", "abcd", "--measured", "none.json")])
+def test_what_is_not_there_is_told(tell, arguments):
+    code, out, err = tell("adapters", *arguments)
+    assert (code, out) == (Exit.SETUP, "")
+    assert "abcd" in err or "none.json" in err
+
+
+def test_an_empty_registry_is_no_error(tell):
+    assert json.loads(tell("adapters", "list", "--json")[1]) == {"adapters": [], "serving": []}
