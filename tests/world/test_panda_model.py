@@ -63,8 +63,8 @@ def test_torque_limits_and_gravity_compensation(model):
     assert all(model.body_gravcomp[model.body(name).id] == 1.0 for name in LINKS[1:])
 
 
-def surface(model, geom):
-    """Points on a primitive, in its link's frame."""
+def surface(model, geom, *, dense=False):
+    """Corners of a primitive, or many points on it, in its link's frame."""
     size, kind = model.geom_size[geom], int(model.geom_type[geom])
     if kind == int(G.mjGEOM_CAPSULE):
         mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1])
@@ -74,7 +74,8 @@ def surface(model, geom):
         mesh = trimesh.creation.box(extents=2 * size)
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
     place = frame(model.geom_pos[geom], model.geom_quat[geom])
-    return (mesh.vertices - centre) @ place[:3, :3].T + place[:3, 3]
+    points = np.vstack([mesh.vertices, mesh.sample(3000, seed=0)]) if dense else mesh.vertices
+    return (points - centre) @ place[:3, :3].T + place[:3, 3]
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -89,6 +90,23 @@ def test_collision_shapes_lie_in_or_near_the_real_link(model, link):
     assert outside.max() <= 5e-3
     extent = np.ptp(points, axis=0) / np.ptp(hull.points, axis=0)
     assert extent.min() > 0.65, "the shapes must also fill the link"
+
+
+PADS = ("left_pad", "right_pad")
+"""The inner faces of the fingertips: what is gripped lies between them, and their sharp corners stand out a little."""
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_filters_spheres_hold_the_plants_shapes(model, link):
+    """Else the plant would be a larger robot than the one that is kept away from things."""
+    own = [sphere for sphere in BODY.spheres if sphere.link == link]
+    centres, radii = np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own])
+    for geom in (g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == link):
+        if model.geom_contype[geom] == 0:
+            continue
+        points = surface(model, geom, dense=True) * ((-1, -1, 1) if link == "right_finger" else 1)
+        outside = np.min(np.linalg.norm(points[:, None] - centres, axis=2) - radii, axis=1).max()
+        assert outside <= (5e-4 if model.geom(geom).name in PADS else 0.0), model.geom(geom).name
 
 
 def test_no_self_contact_at_home(model):
