@@ -65,7 +65,7 @@ def curate(ledger: LedgerReader, registry: Registry, dials: Curation) -> Curated
     kept = merge(clean)
     ones = [pair.one for pair in kept]
     groups, shown = scene_groups(ones), repeats(ones, registry, dials.most_repeats)
-    rows = [_sample(pair, registry, *about) for pair, *about in zip(kept, groups, shown, strict=True)]
+    rows = [_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
     apart = held_out(groups, dials.held_out, dials.salt)
     return Curated(
         tuple(row for row in rows if row.scene not in apart), tuple(row for row in rows if row.scene in apart),

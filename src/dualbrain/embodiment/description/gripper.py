@@ -73,9 +73,10 @@ def find_hand(tree: Tree, chain: Chain, said: Mapping[str, Given], *, keep_tool:
 def _hand(tree: Tree, chain: Chain, said: Mapping[str, Given], tool: Array | None) -> Hand:
     one, other = _fingers(tree, chain)
     stroke = one.upper - one.lower
-    if abs(stroke - (other.upper - other.lower)) > 1e-4 or one.way @ other.way > STRAIGHT - 1.0:
+    if abs(stroke - (other.upper - other.lower)) > 1e-4 or float(one.way @ other.way) > STRAIGHT - 1.0:
         raise _UntoldError(f"{one.joint.name} and {other.joint.name} do not slide apart alike on one line")
-    outward = float(np.mean((one.points - other.points.mean(axis=0)) @ one.way)) > 0.0
+    apart: Array = one.points.mean(axis=0) - other.points.mean(axis=0)
+    outward = float(apart @ one.way) > 0.0
     line = one.way if outward else -one.way  # from the other finger to this one
     shut = [finger.at(finger.lower if outward else finger.upper) for finger in (one, other)]
     near, far = float((shut[0] @ line).min()), float((shut[1] @ line).max())
