@@ -1,26 +1,19 @@
 // Python's door to the lab: the float64 judge and closed loops with everything at its bound; no part of the kernel.
 #include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/tuple.h>
 
 #include <cstring>
 #include <memory>
-#include <stdexcept>
 #include <vector>
 
+#include "buffers.h"
 #include "dbk_trial.h"
 
 namespace nb = nanobind;
-using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Out = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
 namespace {
 
 constexpr size_t kThing = 24;  // shape moving position 3 rotation 9 half 3 radius velocity 3, the rest spare
-
-void expect(bool good, const char *what) {
-  if (!good) { throw std::invalid_argument(what); }
-}
 
 template <typename T>
 size_t fill(const nb::dict &d, const char *key, T *to, size_t most) {

@@ -4,19 +4,20 @@
 /* finite, inside the box, every row met to `tolerance`; a NaN anywhere answers 0 */
 DBK_WIDE int32_t dbk_check(const dbk_rows *rows, int32_t n, const dbk_real lower[DBK_MAX_DOF],
                            const dbk_real upper[DBK_MAX_DOF], const dbk_real u[DBK_MAX_DOF], dbk_real tolerance) {
-  dbk_real value[DBK_MAX_ROWS];
+  dbk_real value[DBK_ROW_ROOM];
+  const int32_t count = DBK_PADDED(rows->count); /* empty rows fill the last vector */
   int32_t good = 1, k = 0;
   for (int32_t i = 0; i < n; ++i) { good &= dbk_finite(u[i]) && u[i] >= lower[i] && u[i] <= upper[i]; }
-  for (int32_t r = 0; r < rows->count; ++r) { value[r] = tolerance - rows->b[r]; }
+  for (int32_t r = 0; r < count; ++r) { value[r] = tolerance - rows->b[r]; }
   for (; k + 1 < n; k += 2) { /* two columns at a time */
     const dbk_real *restrict a = rows->a[k], *restrict b = rows->a[k + 1];
     const dbk_real ua = u[k], ub = u[k + 1];
-    for (int32_t r = 0; r < rows->count; ++r) { value[r] = (value[r] + a[r] * ua) + b[r] * ub; }
+    for (int32_t r = 0; r < count; ++r) { value[r] = (value[r] + a[r] * ua) + b[r] * ub; }
   }
   for (; k < n; ++k) {
-    for (int32_t r = 0; r < rows->count; ++r) { value[r] += rows->a[k][r] * u[k]; }
+    for (int32_t r = 0; r < count; ++r) { value[r] += rows->a[k][r] * u[k]; }
   }
-  for (int32_t r = 0; r < rows->count; ++r) { good &= value[r] >= (dbk_real)0; }
+  for (int32_t r = 0; r < count; ++r) { good &= value[r] >= (dbk_real)0; }
   return good;
 }
 

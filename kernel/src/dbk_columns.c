@@ -28,28 +28,19 @@ static axes axes_of(const dbk_model *model, const dbk_frames *frames) {
   return out;
 }
 
-/* velocity of the centre c of a sphere at unit speed of joint k: z_k x (c - p_k), or z_k where it slides */
-typedef struct {
-  dbk_real x[DBK_MAX_DOF], y[DBK_MAX_DOF], z[DBK_MAX_DOF];
-} lever;
-
-static inline void levers(const axes *at, const dbk_cloud *cloud, int32_t sphere, lever *restrict out) {
-  const dbk_real cx = cloud->x[sphere], cy = cloud->y[sphere], cz = cloud->z[sphere];
-  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
-    const dbk_real x = cx - at->px[k], y = cy - at->py[k], z = cz - at->pz[k];
-    const dbk_real zx = at->zx[k], zy = at->zy[k], zz = at->zz[k];
-    out->x[k] = at->slides[k] ? zx : zy * z - zz * y;
-    out->y[k] = at->slides[k] ? zy : zz * x - zx * z;
-    out->z[k] = at->slides[k] ? zz : zx * y - zy * x;
-  }
-}
-
-/* rows of one sphere: n'J_k with its levers */
-static inline void fill_for_sphere(const lever *j, int32_t k, const columns *at, dbk_rows *restrict rows) {
-  const dbk_real jx = j->x[k], jy = j->y[k], jz = j->z[k];
+/* of single spheres: n'J_k with the velocity of the centre c at unit speed of joint k, z_k x (c - p_k), or z_k where it
+ * slides */
+static inline void fill_for_single(const axes *axis, int32_t k, const columns *at, dbk_rows *restrict rows) {
+  const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
+  const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
+  const int32_t slides = axis->slides[k], count = DBK_PADDED(at->count);
+  const dbk_real *cx = rows->mx + at->first, *cy = rows->my + at->first, *cz = rows->mz + at->first;
   const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
   dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
-  for (int32_t r = 0; r < at->count; ++r) {
+  for (int32_t r = 0; r < count; ++r) {
+    const dbk_real x = cx[r] - px, y = cy[r] - py, z = cz[r] - pz;
+    const dbk_real jx = slides ? zx : zy * z - zz * y, jy = slides ? zy : zz * x - zx * z;
+    const dbk_real jz = slides ? zz : zx * y - zy * x;
     const dbk_real mine = jx * nx[r] + jy * ny[r] + jz * nz[r];
     a[r] = mine;
     square[r] += mine * mine;
@@ -61,14 +52,14 @@ static inline void fill_for_sphere(const lever *j, int32_t k, const columns *at,
 static inline void fill_for_several(const axes *axis, int32_t k, const columns *at, dbk_rows *restrict rows) {
   const dbk_real zx = axis->zx[k], zy = axis->zy[k], zz = axis->zz[k];
   const dbk_real px = axis->px[k], py = axis->py[k], pz = axis->pz[k];
-  const int32_t slides = axis->slides[k];
+  const int32_t slides = axis->slides[k], count = DBK_PADDED(at->count);
   const dbk_real tx = slides ? (dbk_real)0 : zx, ty = slides ? (dbk_real)0 : zy, tz = slides ? (dbk_real)0 : zz;
   const dbk_real mx = slides ? -zx : zy * pz - zz * py, my = slides ? -zy : zz * px - zx * pz;
   const dbk_real mz = slides ? -zz : zx * py - zy * px;
   const dbk_real *rx = rows->mx + at->first, *ry = rows->my + at->first, *rz = rows->mz + at->first;
   const dbk_real *nx = rows->nx + at->first, *ny = rows->ny + at->first, *nz = rows->nz + at->first;
   dbk_real *restrict a = rows->a[k] + at->first, *restrict square = at->square, *restrict total = at->total;
-  for (int32_t r = 0; r < at->count; ++r) {
+  for (int32_t r = 0; r < count; ++r) {
     const dbk_real mine = (tx * rx[r] + ty * ry[r] + tz * rz[r]) - (mx * nx[r] + my * ny[r] + mz * nz[r]);
     a[r] = mine;
     square[r] += mine * mine;
@@ -76,14 +67,14 @@ static inline void fill_for_several(const axes *axis, int32_t k, const columns *
   }
 }
 
-/* c x n, with c the centre of each row's sphere */
-static void fill_moments(const dbk_cloud *cloud, dbk_rows *rows, int32_t first, int32_t last) {
+/* c x n, or c, with c the centre of each row's sphere */
+static void fill_moments(const dbk_cloud *cloud, int32_t several, int32_t first, int32_t last, dbk_rows *rows) {
   for (int32_t r = first; r < last; ++r) {
     const int32_t i = rows->i[r];
     const dbk_real x = cloud->x[i], y = cloud->y[i], z = cloud->z[i];
-    rows->mx[r] = y * rows->nz[r] - z * rows->ny[r];
-    rows->my[r] = z * rows->nx[r] - x * rows->nz[r];
-    rows->mz[r] = x * rows->ny[r] - y * rows->nx[r];
+    rows->mx[r] = several ? y * rows->nz[r] - z * rows->ny[r] : x;
+    rows->my[r] = several ? z * rows->nx[r] - x * rows->nz[r] : y;
+    rows->mz[r] = several ? x * rows->ny[r] - y * rows->nx[r] : z;
   }
 }
 
@@ -91,24 +82,21 @@ static void fill_moments(const dbk_cloud *cloud, dbk_rows *rows, int32_t first, 
 DBK_WIDE void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *restrict rows,
                                dbk_real *restrict square, dbk_real *restrict total) {
   const axes axis = axes_of(model, &ctx->frames);
-  lever j;
   for (int32_t s = 0; s < rows->n_spans; ++s) {
-    const int32_t first = rows->span_first[s], sphere = rows->span_sphere[s];
+    const int32_t first = rows->span_first[s], several = rows->span_several[s];
+    const int32_t from = rows->span_from[s], upto = rows->span_upto[s];
     const int32_t last = s + 1 < rows->n_spans ? rows->span_first[s + 1] : rows->count;
-    const columns at = {first, DBK_PADDED(last - first), square + first, total + first};
-    for (int32_t r = 0; r < at.count; ++r) { at.square[r] = at.total[r] = (dbk_real)0; }
-    if (sphere >= 0) {
-      levers(&axis, &ctx->cloud, sphere, &j);
-    } else {
-      fill_moments(&ctx->cloud, rows, first, last);
-    }
+    const int32_t count = DBK_PADDED(last - first);
+    const columns at = {first, count, square + first, total + first};
+    fill_moments(&ctx->cloud, several, first, last, rows);
+    for (int32_t r = 0; r < count; ++r) { at.square[r] = at.total[r] = (dbk_real)0; }
     for (int32_t k = 0; k < model->n; ++k) {
-      if (k < rows->span_from[s] || k >= rows->span_upto[s]) {
-        for (int32_t r = 0; r < at.count; ++r) { rows->a[k][first + r] = (dbk_real)0; }
-      } else if (sphere >= 0) {
-        fill_for_sphere(&j, k, &at, rows);
-      } else {
+      if (k < from || k >= upto) {
+        for (int32_t r = 0; r < count; ++r) { rows->a[k][first + r] = (dbk_real)0; }
+      } else if (several) {
         fill_for_several(&axis, k, &at, rows);
+      } else {
+        fill_for_single(&axis, k, &at, rows);
       }
     }
   }

@@ -90,8 +90,9 @@ void dbk_spheres(const dbk_model *model, const dbk_scene *scene, const dbk_frame
     cloud->r[s] = model->radius[s];
   }
   for (int32_t l = 0; l < model->n_links; ++l) {
-    const int32_t first = model->link_first[l];
-    place(frames, model->link_frame[l], model->link_first[l + 1] - first, lx + first, ly + first, lz + first,
+    const int32_t first = model->link_first[l], count = model->link_first[l + 1] - first;
+    if (count == 0) { continue; }
+    place(frames, model->link_frame[l], count, lx + first, ly + first, lz + first,
           cloud->x + first, cloud->y + first, cloud->z + first);
   }
   const int32_t first = model->n_spheres;

@@ -31,6 +31,9 @@ static inline dbk_real dbk_sqrt(dbk_real x) {
 #endif
 }
 
+/* the number of the lowest bit that is set, of some */
+static inline int32_t dbk_lowest_bit(uint32_t bits) { return (int32_t)__builtin_ctz(bits); }
+
 static inline dbk_real dbk_length(dbk_real x, dbk_real y, dbk_real z) { return dbk_sqrt(x * x + y * y + z * z); }
 
 #ifdef DBK_DOUBLE

@@ -72,7 +72,17 @@ static void prepare_link_reach(dbk_model *model) {
   }
 }
 
+/* the QP reads the scale to its full width */
+static void clear_scale(dbk_model *model) {
+  for (int32_t i = 0; i < DBK_MAX_DOF; ++i) {
+    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
+      if (i >= model->n || k >= model->n) { model->scale[i][k] = (dbk_real)0; }
+    }
+  }
+}
+
 void dbk_prepare(dbk_model *model) {
+  clear_scale(model);
   for (int32_t l = 0; l < model->n_links; ++l) {
     const int32_t frame = model->link_frame[l];
     for (int32_t s = model->link_first[l]; s < model->link_first[l + 1]; ++s) {

@@ -116,13 +116,16 @@ static inline void bound_links(const dbk_model *model, const dbk_scene *scene, d
       out->bend[l] = dbk_max(out->bend[l], bend[s]);
     }
     out->haste[l] = out->speed[l];
-    for (int32_t k = 0; k < model->n; ++k) { out->haste[l] += out->beyond[k] * model->link_reach[k][l]; }
     if (first < last) {
       const dbk_ball *ball = l == model->n_links ? &scene->held_ball : &model->ball[l];
       place_ball(&ctx->frames, &ctx->cloud, ball, dbk_link_frame(model, l), first, l, out);
     } else {
       out->bound_x[l] = out->bound_y[l] = out->bound_z[l] = out->bound_r[l] = out->inner[l] = (dbk_real)0;
     }
+  }
+  for (int32_t k = 0; k < model->n; ++k) {
+    const dbk_real beyond = out->beyond[k], *restrict reach = model->link_reach[k];
+    for (int32_t l = 0; l <= model->n_links; ++l) { out->haste[l] += beyond * reach[l]; }
   }
 }
 

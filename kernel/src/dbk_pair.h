@@ -4,7 +4,7 @@
 
 #include "dbk_math.h"
 
-#define DBK_BATCH (DBK_SPHERE_ROOM > DBK_MAX_OBSTACLES ? DBK_SPHERE_ROOM : DBK_MAX_OBSTACLES)
+#define DBK_BATCH (DBK_SPHERE_ROOM > DBK_OBSTACLE_ROOM ? DBK_SPHERE_ROOM : DBK_OBSTACLE_ROOM)
 #define DBK_TINY ((dbk_real)1e-6)  /* [m] nearer than this the direction is rounding noise */
 #define DBK_ROUNDED ((dbk_real)1e-5) /* [m/s] more than the rounding of a row's right side */
 #define DBK_BEYOND ((dbk_real)10)  /* [m] farther than any robot here reaches */
@@ -23,6 +23,12 @@ typedef struct {
 typedef struct {
   dbk_real r, vx, vy, vz, ax, ay, az, spread;
 } dbk_mover;
+
+static inline dbk_mover dbk_mover_of(const dbk_ctx *ctx, int32_t s) {
+  const dbk_motion *m = &ctx->motion;
+  const dbk_mover it = {ctx->cloud.r[s], m->vx[s], m->vy[s], m->vz[s], m->ax[s], m->ay[s], m->az[s], m->spread[s]};
+  return it;
+}
 
 /* the other thing */
 typedef struct {
@@ -88,17 +94,27 @@ static inline int32_t dbk_takes_part(const dbk_model *model, const dbk_scene *sc
 
 /* obstacles where they are at this moment, and what the rows take off their distance */
 typedef struct {
-  dbk_real x[DBK_MAX_OBSTACLES], y[DBK_MAX_OBSTACLES], z[DBK_MAX_OBSTACLES];
-  dbk_real margin[DBK_MAX_OBSTACLES], alpha[DBK_MAX_OBSTACLES];
-  int32_t lanes; /* obstacles, up to a full vector */
+  dbk_real x[DBK_OBSTACLE_ROOM], y[DBK_OBSTACLE_ROOM], z[DBK_OBSTACLE_ROOM];
+  dbk_real margin[DBK_OBSTACLE_ROOM], alpha[DBK_OBSTACLE_ROOM];
+  uint32_t parts[DBK_OBSTACLE_ROOM]; /* links that are kept away, as in dbk_obstacle; none where it is left out */
+  int32_t lanes;                     /* obstacles, up to a full vector */
   dbk_real age, extra;
   int32_t known_only;
 } dbk_surround;
 
-/* which obstacles matter for which links; `near` is told only of links that take part */
+/* the obstacles that matter for every link, in the order of the table */
 typedef struct {
-  int32_t any[DBK_ALL_LINKS], near[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
+  int32_t count[DBK_ALL_LINKS];
+  int16_t index[DBK_ALL_LINKS][DBK_MAX_OBSTACLES];
 } dbk_nearby;
+
+/* spheres of one link and the obstacles near it */
+typedef struct {
+  int32_t link, first, count, frame; /* of the spheres */
+  dbk_real held_error;
+  int32_t n_near;
+  const int16_t *near;
+} dbk_link_scene;
 
 /* dbk_model.c */
 dbk_ball dbk_ball_around(const dbk_real *x, const dbk_real *y, const dbk_real *z, const dbk_real *radius, int32_t count,
@@ -111,6 +127,10 @@ void dbk_find_near(const dbk_model *model, const dbk_scene *scene, const dbk_ctx
                    dbk_nearby *out);
 dbk_real dbk_separation_speed(const dbk_obstacle *o, dbk_real d, dbk_real person);
 
+/* dbk_together.c */
+void dbk_meet_together(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around,
+                       const dbk_link_scene *near);
+
 /* dbk_meet.c, dbk_self.c */
 void dbk_meet_obstacles(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around);
 void dbk_meet_self(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real extra);
@@ -121,5 +141,18 @@ void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *rows
 /* dbk_rows.c */
 void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batch *w);
 void dbk_remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other);
+
+/* is the obstacle its own capsule, and nothing else than the barrier asked for? */
+static inline int32_t dbk_sociable(const dbk_scene *scene, int32_t link, int32_t obstacle) {
+  return scene->covers.plain[obstacle] & (scene->permit[link][obstacle] < (dbk_real)0);
+}
+
+/* the smallest h of a link and an obstacle goes into h_min; what one period could bring to h = 0 is looked at again */
+static inline void dbk_judge(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_link_scene *near,
+                             int32_t index, dbk_real least) {
+  const dbk_real speed = scene->covers.speed[index] + ctx->motion.haste[near->link];
+  ctx->h_min = dbk_min(ctx->h_min, least + model->sampling);
+  if (!(least >= model->period * speed + DBK_CULL_FLOOR)) { dbk_remember(ctx, near->first, near->count, index); }
+}
 
 #endif

@@ -23,20 +23,23 @@ typedef struct {
   dbk_real multiplier[DBK_QP_DIM];
 } active_set;
 
-/* normal in x coordinates (S' a, soft) and right side of one constraint */
+/* normal in x coordinates (S' a, soft) and right side of one constraint; S is read to its full width, where there is
+ * nothing behind the last joint */
 static dbk_real constraint(const problem *p, int32_t id, dbk_real normal[DBK_QP_DIM]) {
   const int32_t n = p->n;
-  for (int32_t k = 0; k < DBK_QP_DIM; ++k) { normal[k] = (dbk_real)0; }
+  normal[DBK_MAX_DOF] = (dbk_real)0;
   if (id < 2 * n) {
     const int32_t joint = id < n ? id : id - n;
     const dbk_real sign = id < n ? (dbk_real)1 : (dbk_real)-1;
-    for (int32_t k = 0; k < n; ++k) { normal[k] = sign * p->scale[joint][k]; }
+    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { normal[k] = sign * p->scale[joint][k]; }
+    if (p->dim > n) { normal[n] = (dbk_real)0; }
     return id < n ? p->lower[joint] : -p->upper[joint];
   }
   const int32_t r = id - 2 * n;
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { normal[k] = (dbk_real)0; }
   for (int32_t i = 0; i < n; ++i) {
     const dbk_real a = p->rows->a[i][r];
-    for (int32_t k = 0; k < n; ++k) { normal[k] += a * p->scale[i][k]; }
+    for (int32_t k = 0; k < DBK_MAX_DOF; ++k) { normal[k] += a * p->scale[i][k]; }
   }
   if (p->dim > n) { normal[n] = p->rows->soft[r]; }
   return p->rows->b[r] + p->shift;
@@ -95,16 +98,16 @@ static void append(active_set *s, int32_t dim, int32_t id, const dbk_real *along
 
 /* factor the active set again without member `gone` (-1: all stay) */
 static void rebuild(const problem *p, active_set *s, int32_t gone) {
-  const active_set old = *s;
+  const int32_t members = s->count;
   s->count = 0;
-  for (int32_t i = 0; i < old.count; ++i) {
+  for (int32_t i = 0; i < members; ++i) { /* what is written lies before what is still to be read */
+    const int32_t id = s->id[i];
+    const dbk_real multiplier = s->multiplier[i];
     dbk_real normal[DBK_QP_DIM], along[DBK_QP_DIM], rest[DBK_QP_DIM];
     if (i == gone) { continue; }
-    (void)constraint(p, old.id[i], normal);
+    (void)constraint(p, id, normal);
     const dbk_real square = split(s, p->dim, normal, along, rest);
-    if (independent(square, square_of(normal, p->dim))) {
-      append(s, p->dim, old.id[i], along, rest, square, old.multiplier[i]);
-    }
+    if (independent(square, square_of(normal, p->dim))) { append(s, p->dim, id, along, rest, square, multiplier); }
   }
 }
 

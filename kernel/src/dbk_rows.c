@@ -22,27 +22,36 @@ void dbk_remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other) {
   ctx->visits.count = at + 1;
 }
 
-/* the rows from `first` on are moved by the joints from..upto-1, and belong to one sphere or (-1) to several */
+/* the rows from `first` on are moved by the joints from..upto-1, and belong to one sphere each time or to several */
 static void open_span(dbk_rows *rows, int32_t first, const dbk_batch *w) {
-  const int32_t at = rows->n_spans;
+  const int32_t at = rows->n_spans, several = w->sphere < 0;
   if (at > 0 && rows->span_from[at - 1] == w->from && rows->span_upto[at - 1] == w->upto &&
-      rows->span_sphere[at - 1] == w->sphere) {
+      rows->span_several[at - 1] == several) {
     return;
   }
   rows->span_first[at] = first;
   rows->span_from[at] = w->from;
   rows->span_upto[at] = w->upto;
-  rows->span_sphere[at] = w->sphere;
+  rows->span_several[at] = several;
   rows->n_spans = at + 1;
 }
 
-/* copies the pairs that are to be kept behind the rows there are; every pair is written, and overwritten by the next one
- * unless it is kept. When there is no more room, that is told, and the step brakes. */
+/* copies the pairs that are to be kept behind the rows there are. When there is no more room, that is told, and the step
+ * brakes. */
 static inline void copy_kept(const dbk_batch *w, dbk_rows *restrict rows) {
   int32_t *restrict vary = w->sphere >= 0 ? rows->j : rows->i;
-  int32_t n = rows->count;
+  int32_t kept[DBK_BATCH + 1], count = 0;
+  const int32_t first = rows->count, room = DBK_MAX_ROWS - first;
   for (int32_t at = 0; at < w->count; ++at) {
-    const int32_t r = n < DBK_MAX_ROWS ? n : DBK_MAX_ROWS;
+    kept[count] = at;
+    count += w->keep[at];
+  }
+  if (count > room) {
+    rows->overflow = 1;
+    count = room;
+  }
+  for (int32_t i = 0; i < count; ++i) {
+    const int32_t at = kept[i], r = first + i;
     rows->h[r] = w->h[at];
     rows->b[r] = w->rhs[at];
     rows->nx[r] = w->nx[at];
@@ -50,13 +59,8 @@ static inline void copy_kept(const dbk_batch *w, dbk_rows *restrict rows) {
     rows->nz[r] = w->nz[at];
     rows->yielding[r] = w->yielding[at];
     vary[r] = w->index[at];
-    n += w->keep[at];
   }
-  if (n > DBK_MAX_ROWS) {
-    rows->overflow = 1;
-    n = DBK_MAX_ROWS;
-  }
-  rows->count = n;
+  rows->count = first + count;
 }
 
 /* takes the pairs of a batch that are to be kept as rows */
@@ -69,11 +73,12 @@ DBK_WIDE void dbk_keep_rows(const dbk_scene *scene, dbk_ctx *ctx, const dbk_batc
   open_span(rows, first, w);
   int32_t *restrict same = w->sphere >= 0 ? rows->i : rows->j;
   const int32_t fixed = w->sphere >= 0 ? w->sphere : w->other, obstacle = w->kind == DBK_ROW_OBSTACLE;
-  for (int32_t r = first; r < rows->count; ++r) {
+  const int32_t count = rows->count;
+  for (int32_t r = first; r < count; ++r) {
     same[r] = fixed;
     rows->kind[r] = w->kind;
   }
-  for (int32_t r = first; r < rows->count; ++r) {
+  for (int32_t r = first; r < count; ++r) {
     rows->moving[r] = obstacle ? c->moving[rows->j[r]] : 0;
     rows->rank[r] = obstacle ? c->rank[rows->j[r]] : DBK_RANK_BODY;
   }

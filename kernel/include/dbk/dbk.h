@@ -84,14 +84,14 @@ typedef struct {
 
 /* a capsule around every obstacle but half-spaces, one array per number, so that a link meets all in one loop */
 typedef struct {
-  dbk_real x[DBK_MAX_OBSTACLES], y[DBK_MAX_OBSTACLES], z[DBK_MAX_OBSTACLES];
-  dbk_real ax[DBK_MAX_OBSTACLES], ay[DBK_MAX_OBSTACLES], az[DBK_MAX_OBSTACLES], half[DBK_MAX_OBSTACLES];
-  dbk_real radius[DBK_MAX_OBSTACLES], margin[DBK_MAX_OBSTACLES], alpha[DBK_MAX_OBSTACLES];
-  dbk_real vx[DBK_MAX_OBSTACLES], vy[DBK_MAX_OBSTACLES], vz[DBK_MAX_OBSTACLES];
-  dbk_real error[DBK_MAX_OBSTACLES], speed[DBK_MAX_OBSTACLES]; /* of the velocity; the obstacle's own at most */
-  uint32_t parts[DBK_MAX_OBSTACLES];                           /* none behind the last obstacle */
-  int32_t known[DBK_MAX_OBSTACLES], moving[DBK_MAX_OBSTACLES], rank[DBK_MAX_OBSTACLES];
-  int32_t plain[DBK_MAX_OBSTACLES]; /* the capsule is the obstacle, and no speed and separation is asked for */
+  dbk_real x[DBK_OBSTACLE_ROOM], y[DBK_OBSTACLE_ROOM], z[DBK_OBSTACLE_ROOM];
+  dbk_real ax[DBK_OBSTACLE_ROOM], ay[DBK_OBSTACLE_ROOM], az[DBK_OBSTACLE_ROOM], half[DBK_OBSTACLE_ROOM];
+  dbk_real radius[DBK_OBSTACLE_ROOM], margin[DBK_OBSTACLE_ROOM], alpha[DBK_OBSTACLE_ROOM];
+  dbk_real vx[DBK_OBSTACLE_ROOM], vy[DBK_OBSTACLE_ROOM], vz[DBK_OBSTACLE_ROOM];
+  dbk_real error[DBK_OBSTACLE_ROOM], speed[DBK_OBSTACLE_ROOM]; /* of the velocity; the obstacle's own at most */
+  uint32_t parts[DBK_OBSTACLE_ROOM];                           /* none behind the last obstacle */
+  int32_t known[DBK_OBSTACLE_ROOM], moving[DBK_OBSTACLE_ROOM], rank[DBK_OBSTACLE_ROOM];
+  int32_t plain[DBK_OBSTACLE_ROOM]; /* the capsule is the obstacle, and no speed and separation is asked for */
   int32_t any_half_space, any_separation;
 } dbk_covers;
 
@@ -136,11 +136,12 @@ typedef struct {
 } dbk_frames;
 
 /* rows, one array per joint so that loops over rows vectorise. Rows that lie side by side and are moved by the same joints
- * are a span: its first row, the joints from..upto-1, and the sphere where it is the same for all (else -1) */
+ * are a span: its first row, the joints from..upto-1, and whether a batch of them was about several spheres. What (mx, my,
+ * mz) holds is that span's affair: there c x n of a row, else c, with c the centre of its sphere */
 typedef struct {
   int32_t count, overflow, stuck, unavoidable;
   int32_t n_spans, span_first[DBK_MAX_SPANS], span_from[DBK_MAX_SPANS], span_upto[DBK_MAX_SPANS];
-  int32_t span_sphere[DBK_MAX_SPANS];
+  int32_t span_several[DBK_MAX_SPANS];
   dbk_real a[DBK_MAX_DOF][DBK_ROW_ROOM], b[DBK_ROW_ROOM]; /* unit rows */
   dbk_real h[DBK_ROW_ROOM], norm[DBK_ROW_ROOM];
   dbk_real nx[DBK_ROW_ROOM], ny[DBK_ROW_ROOM], nz[DBK_ROW_ROOM], mx[DBK_ROW_ROOM], my[DBK_ROW_ROOM], mz[DBK_ROW_ROOM];

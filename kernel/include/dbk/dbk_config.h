@@ -42,6 +42,7 @@ typedef float dbk_real;
 #define DBK_LANES 8 /* a power of two; 1 where the processor has no vectors. The answers are the same. */
 #endif
 #define DBK_PADDED(count) (((count) + DBK_LANES - 1) & ~(DBK_LANES - 1)) /* so many that vectors are full */
+#define DBK_OBSTACLE_ROOM (DBK_MAX_OBSTACLES + 2 * DBK_LANES) /* no power of two: arrays share no lines of a cache */
 #define DBK_ALL_SPHERES (DBK_MAX_SPHERES + DBK_MAX_HELD)
 #define DBK_SPHERE_ROOM (DBK_ALL_SPHERES + DBK_LANES) /* loops over a link's spheres may run on to a full vector */
 #define DBK_ALL_LINKS (DBK_MAX_LINKS + 1)

@@ -1,0 +1,25 @@
+// Arrays that Python hands over or wants filled, and what is checked of them.
+#ifndef DBK_BUFFERS_H
+#define DBK_BUFFERS_H
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <stdexcept>
+
+#include "dbk/dbk.h"
+
+using Array = nanobind::ndarray<const double, nanobind::c_contig, nanobind::device::cpu>;
+using Out = nanobind::ndarray<double, nanobind::c_contig, nanobind::device::cpu>;
+using Bytes = nanobind::ndarray<int8_t, nanobind::c_contig, nanobind::device::cpu>;
+
+inline void expect(bool good, const char *what) {
+  if (!good) { throw std::invalid_argument(what); }
+}
+
+inline void copy(const Array &from, dbk_real *to, size_t count, const char *what) {
+  expect(from.size() == count, what);
+  for (size_t i = 0; i < count; ++i) { to[i] = static_cast<dbk_real>(from.data()[i]); }
+}
+
+#endif

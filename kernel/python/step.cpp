@@ -1,0 +1,91 @@
+// Control. A step of microseconds keeps the GIL: giving it away would let another thread hold the control period up by its
+// switch interval (5 ms). Batches release it.
+#include <cstring>
+#include <utility>
+
+#include "arrays.h"
+#include "kernel.h"
+
+void ready_numpy() {
+  if (PyArray_ImportNumPyAPI() < 0) { throw nb::python_error(); }
+}
+
+void Kernel::answer_with(nb::object type, nb::object names_of_status) {
+  answer_type = std::move(type);
+  statuses = std::move(names_of_status);
+}
+
+void Kernel::reset(const Array &u_prev) {
+  dbk_init(ctx.get());
+  copy(u_prev, ctx->u_prev, n, "u_prev");
+  std::memcpy(ctx->u_nom_prev, ctx->u_prev, sizeof ctx->u_prev);
+}
+
+nb::object Kernel::load(nb::handle q, nb::handle v, nb::handle u, double opening, double state_age, double scene_age) {
+  take(q, in.q, n, "q");
+  take(v, in.v, n, "v");
+  in.opening = static_cast<dbk_real>(opening);
+  in.state_age = static_cast<dbk_real>(state_age);
+  in.scene_age = static_cast<dbk_real>(scene_age);
+  return take(u, in.u_nom, n, "u_nom");
+}
+
+nb::object Kernel::active() const {
+  if (out.n_active == 0) { return nb::steal(PyTuple_New(0)); }
+  nb::object all = nb::steal(PyTuple_New(out.n_active));
+  for (int a = 0; a < out.n_active; ++a) {
+    const dbk_active &e = out.active[a];
+    nb::object row = nb::make_tuple(e.kind, e.i, e.j, double(e.h), double(e.multiplier));
+    PyTuple_SET_ITEM(all.ptr(), a, row.release().ptr());
+  }
+  return all;
+}
+
+nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age,
+                        double scene_age, nb::handle names) {
+  expect(answer_type.is_valid(), "answer_with comes first");
+  const nb::object wish = load(q, v, u_nom, opening, state_age, scene_age);
+  dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
+  return answer_type(give(out.u, n), wish, names, nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)), out.flags,
+                     double(out.delta), double(out.delta_rows), double(out.delta_box), double(out.h_min),
+                     out.certified != 0, out.iterations, out.n_rows, active(), out.relaxed);
+}
+
+int Kernel::project(nb::handle q, nb::handle v, nb::handle wish, const Array &u_prev, double opening, double state_age,
+                    double scene_age, double extra, const Out &u) {
+  load(q, v, wish, opening, state_age, scene_age);
+  dbk_real last[DBK_MAX_DOF] = {0}, answer[DBK_MAX_DOF] = {0};
+  copy(u_prev, last, n, "u_nom_prev");
+  expect(u.size() == n, "u");
+  const dbk_status status =
+      dbk_project(model.get(), scene.get(), other.get(), &in, last, static_cast<dbk_real>(extra), answer);
+  for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(answer[k]); }
+  return status;
+}
+
+void Kernel::batch(const Array &q, const Array &v, const Array &u_nom, const Array &u_prev, const Array &opening,
+                   double scene_age, const Out &u, const Bytes &status, const Out &delta, const Out &h_min) const {
+  const size_t m = status.size(), all = m * n;
+  expect(q.size() == all && v.size() == all && u_nom.size() == all && u_prev.size() == all && u.size() == all &&
+             opening.size() == m && delta.size() == m && h_min.size() == m, "batch of m states");
+  const std::unique_ptr<dbk_ctx> work{new dbk_ctx()};
+  const nb::gil_scoped_release release;
+  dbk_in state{};
+  dbk_out answer{};
+  state.scene_age = static_cast<dbk_real>(scene_age);
+  for (size_t r = 0; r < m; ++r) {
+    dbk_init(work.get());
+    for (size_t k = 0; k < n; ++k) {
+      state.q[k] = static_cast<dbk_real>(q.data()[r * n + k]);
+      state.v[k] = static_cast<dbk_real>(v.data()[r * n + k]);
+      state.u_nom[k] = static_cast<dbk_real>(u_nom.data()[r * n + k]);
+      work->u_prev[k] = work->u_nom_prev[k] = static_cast<dbk_real>(u_prev.data()[r * n + k]);
+    }
+    state.opening = static_cast<dbk_real>(opening.data()[r]);
+    dbk_step(model.get(), scene.get(), work.get(), &state, &answer);
+    for (size_t k = 0; k < n; ++k) { u.data()[r * n + k] = static_cast<double>(answer.u[k]); }
+    status.data()[r] = static_cast<int8_t>(answer.status);
+    delta.data()[r] = static_cast<double>(answer.delta);
+    h_min.data()[r] = static_cast<double>(answer.h_min);
+  }
+}

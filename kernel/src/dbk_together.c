@@ -1,0 +1,101 @@
+/* One sphere meets all capsules near its link at once: they are gathered side by side, so that vectors are full of pairs
+ * that matter. The arithmetic of every pair is that of dbk_meet.c. */
+#include "dbk_pair.h"
+
+/* as many capsules as a vector takes, one array per number; `least` is the smallest h of any sphere of the link */
+typedef struct {
+  dbk_real x[DBK_LANES], y[DBK_LANES], z[DBK_LANES], ax[DBK_LANES], ay[DBK_LANES], az[DBK_LANES], half[DBK_LANES];
+  dbk_real radius[DBK_LANES], margin[DBK_LANES], alpha[DBK_LANES], error[DBK_LANES];
+  dbk_real vx[DBK_LANES], vy[DBK_LANES], vz[DBK_LANES], least[DBK_LANES];
+} block;
+
+typedef struct {
+  int32_t count;
+  block block[DBK_MAX_OBSTACLES / DBK_LANES];
+} company;
+
+static inline void gather_one(const dbk_covers *c, const dbk_surround *around, dbk_real held_error, int32_t o,
+                              block *restrict to, int32_t lane) {
+  to->x[lane] = around->x[o];
+  to->y[lane] = around->y[o];
+  to->z[lane] = around->z[o];
+  to->ax[lane] = c->ax[o];
+  to->ay[lane] = c->ay[o];
+  to->az[lane] = c->az[o];
+  to->half[lane] = c->half[o];
+  to->radius[lane] = c->radius[o];
+  to->margin[lane] = around->margin[o] + held_error;
+  to->alpha[lane] = around->alpha[o];
+  to->error[lane] = c->error[o];
+  to->vx[lane] = c->vx[o];
+  to->vy[lane] = c->vy[o];
+  to->vz[lane] = c->vz[o];
+  to->least[lane] = DBK_BEYOND;
+}
+
+/* the sociable obstacles near a link; the last one fills the last vector */
+static void gather(const dbk_scene *scene, const dbk_surround *around, const dbk_link_scene *near, company *restrict to,
+                   dbk_batch *restrict w) {
+  const dbk_real held_error = near->held_error;
+  int32_t n = 0, o = 0;
+  for (int32_t i = 0; i < near->n_near; ++i) {
+    if (!dbk_sociable(scene, near->link, near->near[i])) { continue; }
+    o = near->near[i];
+    w->index[n] = o;
+    w->yielding[n] = 0;
+    gather_one(&scene->covers, around, held_error, o, &to->block[n / DBK_LANES], n % DBK_LANES);
+    ++n;
+  }
+  to->count = w->count = n;
+  for (; n % DBK_LANES != 0; ++n) {
+    gather_one(&scene->covers, around, held_error, o, &to->block[n / DBK_LANES], n % DBK_LANES);
+  }
+}
+
+/* one sphere against the gathered capsules; returns whether any row is kept */
+DBK_WIDE static int32_t sphere_meets(const dbk_model *model, const dbk_ctx *ctx, int32_t sphere, company *restrict c,
+                                     dbk_batch *restrict w) {
+  const dbk_mover m = dbk_mover_of(ctx, sphere);
+  const dbk_real x = ctx->cloud.x[sphere], y = ctx->cloud.y[sphere], z = ctx->cloud.z[sphere];
+  const dbk_real half_period = (dbk_real)0.5 * model->period, cap = model->recovery;
+  const int32_t count = c->count;
+  int32_t kept = 0;
+  for (int32_t base = 0; base < count; base += DBK_LANES) {
+    block *restrict b = &c->block[base / DBK_LANES];
+    for (int32_t l = 0; l < DBK_LANES; ++l) {
+      const int32_t at = base + l;
+      dbk_real nx, ny, nz;
+      const dbk_real far = dbk_off_segment(x - b->x[l], y - b->y[l], z - b->z[l], b->ax[l], b->ay[l], b->az[l],
+                                           b->half[l], &nx, &ny, &nz);
+      const dbk_terms t = {b->margin[l], b->alpha[l], cap, b->error[l], half_period, b->vx[l], b->vy[l], b->vz[l]};
+      const dbk_weight it = dbk_weigh(&m, &t, far - b->radius[l], nx, ny, nz);
+      const int32_t keep = (at < count) & dbk_binds(&it, 0);
+      w->h[at] = it.h;
+      w->nx[at] = nx;
+      w->ny[at] = ny;
+      w->nz[at] = nz;
+      w->rhs[at] = it.rhs;
+      w->keep[at] = keep;
+      kept |= keep;
+      b->least[l] = it.h < b->least[l] ? it.h : b->least[l];
+    }
+  }
+  return kept;
+}
+
+void dbk_meet_together(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around,
+                       const dbk_link_scene *near) {
+  company c;
+  dbk_batch w;
+  gather(scene, around, near, &c, &w);
+  w.kind = DBK_ROW_OBSTACLE;
+  w.from = 0;
+  w.upto = near->frame;
+  for (int32_t s = near->first; s < near->first + near->count; ++s) {
+    w.sphere = s;
+    if (sphere_meets(model, ctx, s, &c, &w)) { dbk_keep_rows(scene, ctx, &w); }
+  }
+  for (int32_t at = 0; at < c.count; ++at) {
+    dbk_judge(model, scene, ctx, near, w.index[at], c.block[at / DBK_LANES].least[at % DBK_LANES]);
+  }
+}
