@@ -15,7 +15,10 @@ from pathlib import Path
 
 from mutation.draw import Mutant
 
-COPIED = ("kernel", "src", "tests", "vectors", "benchmarks", "pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE")
+COPIED = (
+    "kernel", "src", "tests", "vectors", "benchmarks", "docs",
+    "pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE",
+)  # fmt: skip
 TESTS = ("tests/safety", "tests/invariants")
 LEFT_OUT = ("tests/safety/test_vectors.py",)
 """Recorded answers: they notice every change of a bit and say nothing about a law."""
