@@ -14,18 +14,16 @@ typedef struct {
   int32_t slides[DBK_MAX_DOF];
 } axes;
 
-static axes axes_of(const dbk_model *model, const dbk_frames *frames) {
-  axes out = {{0}, {0}, {0}, {0}, {0}, {0}, {0}};
+static inline void axes_of(const dbk_model *model, const dbk_frames *frames, axes *restrict out) {
   for (int32_t k = 0; k < model->n; ++k) {
-    out.zx[k] = frames->rotation[k + 1][2];
-    out.zy[k] = frames->rotation[k + 1][5];
-    out.zz[k] = frames->rotation[k + 1][8];
-    out.px[k] = frames->origin[k + 1][0];
-    out.py[k] = frames->origin[k + 1][1];
-    out.pz[k] = frames->origin[k + 1][2];
-    out.slides[k] = model->joint_kind[k] == DBK_PRISMATIC;
+    out->zx[k] = frames->rotation[k + 1][2];
+    out->zy[k] = frames->rotation[k + 1][5];
+    out->zz[k] = frames->rotation[k + 1][8];
+    out->px[k] = frames->origin[k + 1][0];
+    out->py[k] = frames->origin[k + 1][1];
+    out->pz[k] = frames->origin[k + 1][2];
+    out->slides[k] = model->joint_kind[k] == DBK_PRISMATIC;
   }
-  return out;
 }
 
 /* of single spheres: n'J_k with the velocity of the centre c at unit speed of joint k, z_k x (c - p_k), or z_k where it
@@ -81,7 +79,8 @@ static void fill_moments(const dbk_cloud *cloud, int32_t several, int32_t first,
 /* the columns of every span; joints that do not move it get zero */
 DBK_WIDE void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_rows *restrict rows,
                                dbk_real *restrict square, dbk_real *restrict total) {
-  const axes axis = axes_of(model, &ctx->frames);
+  axes axis;
+  axes_of(model, &ctx->frames, &axis);
   for (int32_t s = 0; s < rows->n_spans; ++s) {
     const int32_t first = rows->span_first[s], several = rows->span_several[s];
     const int32_t from = rows->span_from[s], upto = rows->span_upto[s];

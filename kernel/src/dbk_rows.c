@@ -186,8 +186,9 @@ static void pad(const dbk_model *model, dbk_rows *rows) {
   }
 }
 
-/* from normals to unit rows of the QP */
-DBK_WIDE void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+/* from normals to unit rows; not the last of dbk_finish_rows, as gcc 12 forgets there to clear the upper halves of the
+ * vectors, which costs whatever comes next some hundred nanoseconds */
+DBK_WIDE static void turn_to_joints(const dbk_model *model, dbk_ctx *ctx) {
   dbk_rows *rows = &ctx->rows;
   dbk_real square[DBK_ROW_ROOM], total[DBK_ROW_ROOM];
   int32_t fixed = 0, yielding = 0;
@@ -202,8 +203,13 @@ DBK_WIDE void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, db
   if (fixed) { drop_fixed(model, rows); }
   if (yielding) { yield(model, ctx, rows); }
   make_unit(model, rows);
-  user_rows(model, scene, rows);
-  pad(model, rows);
+}
+
+/* from normals to unit rows of the QP */
+void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx) {
+  turn_to_joints(model, ctx);
+  user_rows(model, scene, &ctx->rows);
+  pad(model, &ctx->rows);
 }
 
 void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
