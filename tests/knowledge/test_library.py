@@ -1,6 +1,7 @@
 """The library: versions, removal, trust, one writer, kills, other encoders, damaged files."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -227,6 +228,24 @@ def test_a_killed_writer_loses_nothing_it_acknowledged(tmp_path: Path) -> None:
                 for citation, text in library.chunks_of(document.name):
                     assert library.quote(citation) == text
             assert len(library.search("anything", 99, by="meaning")) == len(library)
+
+
+def test_a_reader_rolls_back_what_a_killed_writer_left_half_done(library: Library, tmp_path: Path) -> None:
+    put(library)
+    here, there = tmp_path / "knowledge.sqlite", tmp_path / "there.sqlite"
+    writer = sqlite3.connect(here, isolation_level=None)
+    writer.execute("PRAGMA cache_size = 1")  # so that pages reach the file before the transaction ends
+    writer.execute("BEGIN IMMEDIATE")
+    writer.execute("CREATE TABLE half (done)")
+    for _ in range(200):
+        writer.execute("INSERT INTO half VALUES (randomblob(4000))")
+    for end in ("", "-journal"):
+        shutil.copyfile(f"{here}{end}", f"{there}{end}")
+    writer.execute("ROLLBACK")
+    assert there.stat().st_size > here.stat().st_size
+    with Library(there, None) as again:
+        assert again.documents() == library.documents()
+    assert there.stat().st_size == here.stat().st_size
 
 
 def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:

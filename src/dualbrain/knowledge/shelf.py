@@ -77,8 +77,10 @@ class Shelf:
                 self._database = sqlite3.connect(path, isolation_level=None, timeout=WAIT_S)
                 self._create()
             else:
-                uri = path.resolve().as_uri() + "?mode=ro"
+                # not mode=ro: what a killed writer left half done must be rolled back by whoever opens the file next
+                uri = path.resolve().as_uri() + "?mode=rw"
                 self._database = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=WAIT_S)
+                self._database.execute("PRAGMA query_only = ON")
             self._admit()
 
     def _create(self) -> None:
