@@ -49,3 +49,24 @@ def test_without_the_box_jerk_is_larger(small):
     limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
     first = safety(np.array(small.home), np.zeros(7), np.full(7, 2.0)).u
     assert np.any(np.abs(first) > 1.5 * limit)
+
+
+def test_the_limit_that_binds_is_called_by_its_name(small):
+    """Full speed from rest: first the jerk, then the acceleration, at last the velocity is what holds a joint back."""
+    safety = SafetyFilter(small, scenes.config(jerk_limits=True, real="float64"))
+    first = small.joints[0]
+    dt, v_max, a_max, j_max = small.period, first.velocity.value, first.acceleration.value, first.jerk.value
+    seen, u, before = set(), 0.0, 0.0
+    for _ in range(2000):
+        answer = safety(np.array(small.home), np.zeros(7), np.array([9.0, 0, 0, 0, 0, 0, 0]))
+        names = [name for name, _, _ in answer.active if name.startswith(first.name + " ")]
+        bounds = {
+            "velocity": v_max, "acceleration": u + a_max * dt, "jerk": 2.0 * u - before + j_max * dt**2,
+        }  # fmt: skip
+        for name in names:
+            kind = name.split()[1]
+            seen.add(kind)
+            if kind in bounds:
+                assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
+        before, u = u, float(answer.u[0])
+    assert {"velocity", "acceleration", "jerk"} <= seen

@@ -257,3 +257,31 @@ def test_braking_slows_every_joint_by_the_same_factor(small, at):
         u = safety.filter(at(small.home), np.full(7, np.nan), 0.0).u
         keep = max(0.0, *(1.0 - step / np.maximum(np.abs(u_prev), step)))
         np.testing.assert_allclose(u, keep * u_prev, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_moving_arm_is_filtered_where_it_will_be_when_the_drive_has_caught_up(small, at, seed):
+    """The state of the rows is y = q + lag v, joint by joint: the same answer as at rest in y."""
+    rng = np.random.default_rng(seed)
+    safety = SafetyFilter(small, scenes.config(real="float64", lag_compensation=True))
+    safety.observe(scenes.scene(small, rng, 10), 0.0)
+    q, v = np.array(small.home) + rng.uniform(-0.2, 0.2, 7), rng.uniform(-1.0, 1.0, 7)
+    wish, u_prev = rng.uniform(-2.0, 2.0, 7), rng.uniform(-0.3, 0.3, 7)
+    answers = []
+    for where, speed in ((q, v), (q + small.tracking.lag * v, np.zeros(7)), (q, np.zeros(7))):
+        safety.reset(u_prev)
+        answers.append(safety.filter(at(where, speed), wish, 0.0))
+    moving, there, here = answers
+    assert small.tracking.lag > 0.0
+    assert moving.h_min == pytest.approx(there.h_min, abs=1e-9)
+    assert moving.u == pytest.approx(there.u, abs=1e-6)
+    assert abs(moving.h_min - here.h_min) > 1e-7, "the lag moves something here"
+
+
+def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(small, at):
+    safety = SafetyFilter(small, scenes.config())
+    for wish in (np.full(7, np.nan), np.full(7, 1.0), np.zeros(7)):
+        answer = safety.filter(at(np.array(small.home)), wish, 0.0)
+        assert answer.delta_rows + answer.delta_box == pytest.approx(answer.delta, abs=1e-6)
+        assert answer.delta_rows >= 0.0
+        assert answer.delta_box >= 0.0
