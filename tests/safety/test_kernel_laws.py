@@ -14,6 +14,8 @@ from dualbrain.safety.rows import Row
 
 from . import oracle, reference, scenes
 
+FAR_OUTSIDE = 0.2
+"""Beyond a joint's range by more the state is not believed [rad]."""
 FINITE = Obstacle("x", Capsule(0.05, 0.1), Pose((0.6, 0.3, 0.4)), velocity=(0.0, 0.1, 0.0), static=False)
 
 
@@ -285,3 +287,16 @@ def test_the_parts_of_the_intervention_add_up_also_where_nothing_was_asked(small
         assert answer.delta_rows + answer.delta_box == pytest.approx(answer.delta, abs=1e-6)
         assert answer.delta_rows >= 0.0
         assert answer.delta_box >= 0.0
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_an_arm_is_called_far_outside_by_where_it_will_be(small, at, joint):
+    """What lies beyond the range is counted at y = q + lag v."""
+    safety = SafetyFilter(small, scenes.config(real="float64", lag_compensation=True))
+    lag, limit = small.tracking.lag, small.joints[joint].upper.value + FAR_OUTSIDE
+    for beyond in (-0.1, 0.1):
+        q, v = np.array(small.home), np.zeros(7)
+        v[joint] = 1.0
+        q[joint] = limit - lag * (1.0 - beyond)
+        answer = safety.filter(at(q, v), np.zeros(7), 0.0)
+        assert (Reason.OUTSIDE_LIMITS in answer.reason) == (beyond > 0.0)
