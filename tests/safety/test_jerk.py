@@ -52,21 +52,22 @@ def test_without_the_box_jerk_is_larger(small):
 
 
 def test_the_limit_that_binds_is_called_by_its_name(small):
-    """Full speed from rest: first the jerk, then the acceleration, at last the velocity is what holds a joint back."""
+    """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
     safety = SafetyFilter(small, scenes.config(jerk_limits=True, real="float64"))
     first = small.joints[0]
     dt, v_max, a_max, j_max = small.period, first.velocity.value, first.acceleration.value, first.jerk.value
-    seen, u, before = set(), 0.0, 0.0
-    for _ in range(2000):
-        answer = safety(np.array(small.home), np.zeros(7), np.array([9.0, 0, 0, 0, 0, 0, 0]))
-        names = [name for name, _, _ in answer.active if name.startswith(first.name + " ")]
+    seen, u, before = [], 0.0, 0.0
+    for tick in range(2000):
+        way = 1.0 if tick < 60 else -1.0  # turned back while it still accelerates
+        answer = safety(np.array(small.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
         bounds = {
-            "velocity": v_max, "acceleration": u + a_max * dt, "jerk": 2.0 * u - before + j_max * dt**2,
+            "velocity": way * v_max, "acceleration": u + way * a_max * dt,
+            "jerk": 2.0 * u - before + way * j_max * dt**2,
         }  # fmt: skip
-        for name in names:
+        for name in (name for name, _, _ in answer.active if name.startswith(first.name + " ")):
             kind = name.split()[1]
-            seen.add(kind)
-            if kind in bounds:
-                assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
+            assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
+            seen.append((kind, way))
         before, u = u, float(answer.u[0])
-    assert {"velocity", "acceleration", "jerk"} <= seen
+    assert {kind for kind, _ in seen} == {"velocity", "acceleration", "jerk"}
+    assert seen.count(("jerk", -1.0)) > 1, "also while the acceleration changes"
