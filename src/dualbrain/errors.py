@@ -20,7 +20,8 @@ class UnknownName(DualbrainError):
         close = get_close_matches(name, self.known, n=1)
         hint = f" Closest: {close[0]!r}." if close else ""
         of = f" of {owner}" if owner else ""
-        super().__init__(f"{name!r} is not a {kind}{of}.{hint} Known: {', '.join(self.known) or 'none'}.")
+        article = "an" if kind[:1] in "aeiou" else "a"
+        super().__init__(f"{name!r} is not {article} {kind}{of}.{hint} Known: {', '.join(self.known) or 'none'}.")
 
 
 class InvalidSetup(DualbrainError):

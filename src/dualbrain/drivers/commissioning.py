@@ -52,7 +52,7 @@ def demand(path: Path | None, body: Body, site: Path | None, kind: DriverKind) -
     """
     if path is None or site is None:
         missing = "no commissioning record" if path is None else "no site file"
-        raise NotCommissioned(f"hardware ({kind.name})", got=missing, allowed="both", fix=HOW)
+        raise NotCommissioned(f"hardware ({kind.name})", got=missing, allowed="a record and its site file", fix=HOW)
     record = _read(path)
     now = {
         "robot": body.name, "driver": kind.name, "body": body_hash(body), "site": _file_hash(site),

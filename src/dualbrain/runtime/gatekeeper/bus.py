@@ -9,6 +9,7 @@ from __future__ import annotations
 import msgspec
 
 from dualbrain.contracts.contract import Contract
+from dualbrain.embodiment.robot import RobotState
 from dualbrain.records import Judgement, Scene
 
 
@@ -61,6 +62,12 @@ class State(Packet, frozen=True, tag=7):
     opening: float
     forces: tuple[float, float]
     driven: bool
+
+    @classmethod
+    def of(cls, state: RobotState) -> State:
+        """`state` as it goes over the wire."""
+        q, v = tuple(state.q.tolist()), tuple(state.v.tolist())
+        return cls(state.stamp, state.sequence, q, v, state.opening, state.finger_forces, state.drive_enabled)
 
 
 class Seen(Packet, frozen=True, tag=8):

@@ -53,7 +53,7 @@ class DriverProcess:
         self._driver, self._scene, self._link = driver, scene, link
         self._open, self._asked_to_quit, self._answered = True, False, False
         self._heard, self._on = time.monotonic(), False
-        self._ticks = 0
+        self._ticks, self._joints = 0, len(driver.read().q)
 
     def serve(self) -> None:
         """Until told to quit, or until the link is gone."""
@@ -70,12 +70,7 @@ class DriverProcess:
 
     def _tell(self) -> None:
         state = self._driver.read()
-        self._send(
-            bus.State(
-                state.stamp, state.sequence, tuple(state.q.tolist()), tuple(state.v.tolist()), state.opening,
-                state.finger_forces, state.drive_enabled,
-            )
-        )  # fmt: skip
+        self._send(bus.State.of(state))
         if self._ticks % LOOK_EVERY == 0:
             seen = tuple(msgspec.structs.replace(thing, stamp=state.stamp) for thing in self._scene.objects)
             self._send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp, objects=seen)))
@@ -101,11 +96,17 @@ class DriverProcess:
         try:
             self._obey(bus.to_robot(data))
         except msgspec.DecodeError:
-            self._on = False
-            self._driver.stop()
+            self._cut()
+
+    def _cut(self) -> None:
+        """What was heard is no packet for this arm: it stops, and goes on only when it is switched on again."""
+        self._on = False
+        self._driver.stop()
 
     def _obey(self, packet: bus.ToRobot) -> None:
         match packet:
+            case bus.Write(u) if len(u) != self._joints:
+                self._cut()
             case bus.Write(u, opening, force):
                 self._heard = time.monotonic()
                 self._driver.write(Command(np.array(u), opening, force))

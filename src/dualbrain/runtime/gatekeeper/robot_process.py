@@ -103,12 +103,7 @@ class RobotProcess:
     def _tick(self) -> None:
         self.world.advance()
         state = self.plant.read()
-        self._send(
-            bus.State(
-                state.stamp, state.sequence, tuple(state.q.tolist()), tuple(state.v.tolist()), state.opening,
-                state.finger_forces, state.drive_enabled,
-            )
-        )  # fmt: skip
+        self._send(bus.State.of(state))
         if self._ticks % LOOK_EVERY == 0:
             self._send(bus.Seen(self.world.look()))
         self._ticks += 1
