@@ -1,4 +1,4 @@
-"""The committed figures: docs/proofs.md between its markers, docs/learnable.md with its plot."""
+"""The committed figures: docs/proofs.md between its markers; docs/learnable.md, docs/faults.md and the plots."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
 
+from proofs.faults_tables import matrices
 from proofs.journal import Journal
 from proofs.learnable import families
 from proofs.origin import machine
@@ -37,6 +38,8 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             _between(docs / "learnable.md", [PICTURE, "", *section])
             plot(families(rows), docs / "learnable.png")
             section = [proof.claim, "", provenance(rows), "", "Figures and plot: [learnable.md](learnable.md).", ""]
+        if proof.name == "faults":
+            _between(docs / "faults.md", [provenance(rows), "", *matrices(rows)])
         if proof.name == "learning":
             plot_learning(rows, docs / "learning.png")
         sections[proof.name] = section

@@ -117,7 +117,7 @@ def test_a_rejected_contract_is_suppressed_without_a_delta(tmp_path: Path) -> No
     assert report.changes[1].after == pytest.approx(0.95 * 0.575 - rule.eta_minus * rule.g.rejected)
 
 
-@pytest.mark.parametrize("kind", ["declined", "aborted", "stopped"])
+@pytest.mark.parametrize("kind", ["declined", "aborted", "stopped", "paused", "slowed", "handed_over", "emergency"])
 def test_outcomes_that_say_nothing_of_the_contract_move_no_weight(tmp_path: Path, kind: OutcomeClass) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)

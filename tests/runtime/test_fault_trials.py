@@ -6,7 +6,7 @@ import pytest
 
 from dualbrain.errors import UnknownName
 from dualbrain.runtime.fault_trial import inject
-from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault
+from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault, drawn_moment
 from dualbrain.safety.order import Rung
 
 SAMPLE = [
@@ -30,6 +30,12 @@ def test_every_fault_has_an_order_that_was_declared():
     with pytest.raises(UnknownName, match="moment"):
         Fault("state", "off", "never")
     assert len(MOMENTS) == 6
+
+
+def test_a_moment_can_be_drawn_and_is_the_same_again():
+    drawn = [drawn_moment(seed) for seed in range(100)]
+    assert set(drawn) == set(MOMENTS)
+    assert drawn == [drawn_moment(seed) for seed in range(100)]
 
 
 @pytest.mark.parametrize(("source", "kind", "moment"), SAMPLE)

@@ -11,7 +11,7 @@ from dualbrain.cli.exits import Exit
 
 Source = Literal["state", "scene", "clock", "qp", "drive", "planner", "socket"]
 Kind = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
-Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement"]
+Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "acknowledgement", "drawn"]
 
 
 def fault(
@@ -34,13 +34,13 @@ def fault(
     kind
         How it breaks.
     moment
-        When it strikes; acknowledgement: between a command and the state that answers it.
+        When it strikes; acknowledgement: between a command and the state that answers it; drawn: one of these, by seed.
     scene
         Which world, with a red cube and a blue bowl in it.
     robot
         Which body.
     seed
-        What is random about the fault, and everything random after the scene.
+        What is random about the fault (its moment, too, if that is drawn), and everything random after the scene.
     json
         Print the report as one JSON object on stdout.
     """
@@ -48,9 +48,10 @@ def fault(
 
     from dualbrain.cli.console import answer
     from dualbrain.runtime.fault_trial import inject
-    from dualbrain.runtime.faults import Fault
+    from dualbrain.runtime.faults import Fault, drawn_moment
 
-    when = "between write and acknowledgement" if moment == "acknowledgement" else moment
+    full = {"acknowledgement": "between write and acknowledgement", "drawn": drawn_moment(seed)}
+    when = full.get(moment, moment)
     report = inject(Fault(source, kind, when, seed), robot=robot, scene=scene, seed=seed)
     if json:
         answer(msgspec.json.encode(report).decode())

@@ -71,7 +71,7 @@ class FaultReport(msgspec.Struct, frozen=True):
 
 def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
     """Carry out a pick and place of the red cube that breaks by `fault`; nothing of it reaches a memory."""
-    body, spec = load_body(robot), open_scene(scene)
+    body, spec = load_body(robot), open_scene(scene, robot)
     if fault.source in AT_THE_DOOR:
         return _at_the_door(fault, body, spec, scene, seed)
     plant = Plant(spec, body)

@@ -95,6 +95,11 @@ class Fault:
         return WITH_A_PERSON.get(key, EXPECTED[key]) if moving else EXPECTED[key]
 
 
+def drawn_moment(seed: int) -> str:
+    """One of `MOMENTS`, drawn by `seed`."""
+    return MOMENTS[int(np.random.default_rng([seed, 5]).integers(len(MOMENTS)))]
+
+
 class Injector:
     """Knows whether the moment has come. `struck` [s] is when it did."""
 
