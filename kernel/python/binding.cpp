@@ -14,6 +14,9 @@ NB_MODULE(DBK_MODULE, m) {
   m.attr("source_hash") = DBK_HASH;
   m.attr("flags") = DBK_FLAGS;
   m.attr("max_rows") = DBK_MAX_ROWS;
+  m.attr("max_joints") = DBK_MAX_DOF;
+  m.attr("max_links") = DBK_MAX_LINKS;
+  m.attr("max_pairs") = DBK_MAX_PAIRS;
   m.attr("max_obstacles") = DBK_MAX_OBSTACLES;
   m.attr("max_spheres") = DBK_MAX_SPHERES;
   m.attr("max_held") = DBK_MAX_HELD;
@@ -38,7 +41,8 @@ NB_MODULE(DBK_MODULE, m) {
       .def("closed_loop", &Kernel::closed_loop)
       .def("parts",
            [](Kernel &k) {
-             return nb::make_tuple(nb::capsule(k.model.get()), nb::capsule(k.scene.get()), nb::capsule(k.ctx.get()));
+             return nb::make_tuple(nb::capsule(k.model.get(), kBuild), nb::capsule(k.scene.get(), kBuild),
+                                   nb::capsule(k.ctx.get(), kBuild));
            })
       .def("time_steps", &Kernel::time_steps);
   bind_parts(m);

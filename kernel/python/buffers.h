@@ -9,6 +9,11 @@
 
 #include "dbk/dbk.h"
 
+// which build the parts of a kernel belong to: builds differ in the sizes of their structures
+#define DBK_QUOTE(name) #name
+#define DBK_SPELLED(name) DBK_QUOTE(name)
+constexpr const char *kBuild = DBK_SPELLED(DBK_MODULE);
+
 using Array = nanobind::ndarray<const double, nanobind::c_contig, nanobind::device::cpu>;
 using Out = nanobind::ndarray<double, nanobind::c_contig, nanobind::device::cpu>;
 using Bytes = nanobind::ndarray<int8_t, nanobind::c_contig, nanobind::device::cpu>;

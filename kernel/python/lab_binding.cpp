@@ -23,6 +23,13 @@ size_t fill(const nb::dict &d, const char *key, T *to, size_t most) {
   return a.size();
 }
 
+// a part of a kernel, which must be of this very build
+void *part(const nb::tuple &parts, size_t index) {
+  const nb::capsule one = nb::cast<nb::capsule>(parts[index]);
+  expect(one.name() != nullptr && std::strcmp(one.name(), kBuild) == 0, "parts of a kernel of this build");
+  return one.data();
+}
+
 double number(const nb::dict &d, const char *key) { return nb::cast<double>(d[key]); }
 int32_t whole(const nb::dict &d, const char *key) { return nb::cast<int32_t>(d[key]); }
 
@@ -144,9 +151,9 @@ struct Judge {
 
   // parts: those of a Kernel with its obstacles observed, in the order of `rows`; q (n,) is start and end
   nb::dict trial(const nb::tuple &parts, const Array &rows, const nb::dict &asked, const Out &q, const Out &q_log) const {
-    auto *model = static_cast<dbk_model *>(nb::cast<nb::capsule>(parts[0]).data());
-    auto *scene = static_cast<dbk_scene *>(nb::cast<nb::capsule>(parts[1]).data());
-    auto *ctx = static_cast<dbk_ctx *>(nb::cast<nb::capsule>(parts[2]).data());
+    auto *model = static_cast<dbk_model *>(part(parts, 0));
+    auto *scene = static_cast<dbk_scene *>(part(parts, 1));
+    auto *ctx = static_cast<dbk_ctx *>(part(parts, 2));
     std::vector<dbk_thing> things = read_things(rows);
     const dbk_trial t = read_trial(asked);
     expect(model->n == body.n && q.size() == size_t(body.n), "q (n,)");

@@ -46,8 +46,8 @@ def faults(body: Body) -> Iterator[Fault]:
         yield "period", body.period, "above 0, at most 1 s"
     if body.gain is not None and not body.gain.value > 0.0:
         yield "gain", body.gain.value, "above 0"
-    if len(body.home) != (3 if body.base == "differential" else body.n):
-        yield "home", list(body.home), f"{body.n} values, or x, y, heading of a base"
+    if len(body.home) != body.width:
+        yield "home", list(body.home), f"{body.width} values: of a base x, y and heading, then one for each joint"
 
 
 def _link_faults(body: Body) -> Iterator[Fault]:

@@ -65,11 +65,12 @@ def pose(q: Array) -> tuple[Array, Vector]:
 
 
 def drive(q: Array, u: Array, dt: float) -> Array:
-    """Configuration (3,) after `dt` [s] at constant u = (v, ω): exactly along the arc."""
+    """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …): exactly along the arc."""
     v, w = float(u[0]), float(u[1])
     half = 0.5 * w * dt
     chord = v * dt * (sin(half) / half if abs(half) > 1e-9 else 1.0)
-    return np.array([q[0] + chord * cos(q[2] + half), q[1] + chord * sin(q[2] + half), q[2] + w * dt])
+    base = (q[0] + chord * cos(q[2] + half), q[1] + chord * sin(q[2] + half), q[2] + w * dt)
+    return np.array([*base, *(q[3:] + dt * u[2:])])
 
 
 def driven_by(before: Array, after: Array) -> Array:

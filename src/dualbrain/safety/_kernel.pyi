@@ -12,6 +12,9 @@ real: str
 source_hash: str
 flags: str
 max_rows: int
+max_joints: int
+max_links: int
+max_pairs: int
 max_obstacles: int
 max_spheres: int
 max_held: int

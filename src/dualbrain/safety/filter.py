@@ -251,12 +251,12 @@ class SafetyFilter:
         return replace(state, q=self._joints(state.q)) if self._mobile else state
 
     def _joints(self, q: Array) -> Array:
-        """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own chain at zero."""
+        """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own two joints at zero."""
         if not self._mobile:
             return q
         rotation, position = pose(q)
         self._kernel.stand(np.array([*rotation.ravel(), *position]))
-        return np.zeros(self.body.n)
+        return np.concatenate([[0.0, 0.0], q[3:]])
 
     # --- kinematics -------------------------------------------------------------------------------------------
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from importlib import import_module
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 MOST_OBSTACLES: int = _kernel.max_obstacles
 """Room of the obstacle table."""
+SIZES = ("", "_wide")
+"""Suffixes of the builds by size: up to 8 joints, and up to 16."""
 CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
 KNOWN, STATIC = 1, 2
 ALL_PARTS = 2**32 - 1
@@ -36,14 +39,53 @@ def kernel_hash() -> str:
 
 def make_kernel(body: Body, config: FilterConfig, weight: Array | None = None) -> Kernel:
     """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
-    if config.real == "float64":
-        from dualbrain.safety import _kernel64  # noqa: PLC0415  # the test build stays unloaded otherwise
-
-        kernel = _kernel64.Kernel(model_of(body, config, weight))
-    else:
-        kernel = Kernel(model_of(body, config, weight))
+    kernel = build_for(body, config).Kernel(model_of(body, config, weight))
     kernel.answer_with(Filtered, tuple(Status))
     return kernel
+
+
+class Build(Protocol):
+    """One compiled build of the kernel's sources, with the room that it has."""
+
+    max_joints: int
+    max_spheres: int
+    max_links: int
+    max_pairs: int
+
+    @property
+    def Kernel(self) -> type[Kernel]:  # noqa: N802  (a class)
+        """A filter as this build has it; every build's behaves alike."""
+        ...
+
+
+def build_for(body: Body, config: FilterConfig) -> Build:
+    """The smallest build that has room for `body`, in the configured number type: most arms fit the first.
+
+    Both sizes are made from the same sources and answer bit for bit alike; the wide one is slower.
+
+    Raises:
+        InvalidSetup: no build has room for it; the message names what is too many.
+    """
+    for name in SIZES:
+        build = _load(f"_kernel{'64' if config.real == 'float64' else ''}{name}")
+        lacking = [(what, got, room) for what, got, room in _sizes(body, build) if got > room]
+        if not lacking:
+            return build
+    what, got, room = lacking[0]
+    raise InvalidSetup(f"{what} of the body", got=got, allowed=f"at most {room}")
+
+
+def _load(name: str) -> Build:
+    """Builds that nobody asks for stay unloaded."""
+    return _kernel if name == "_kernel" else cast(Build, import_module(f"dualbrain.safety.{name}"))
+
+
+def _sizes(body: Body, build: Build) -> tuple[tuple[str, int, int], ...]:
+    """What a body needs and what a build has room for."""
+    return (
+        ("joints", body.n, build.max_joints), ("spheres", len(body.spheres), build.max_spheres),
+        ("parts", len(body.links), build.max_links), ("pairs kept apart", len(body.self_pairs.kept), build.max_pairs),
+    )  # fmt: skip
 
 
 def model_of(body: Body, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
@@ -122,8 +164,6 @@ def _geometry(body: Body) -> dict[str, Any]:
             if sphere.link == link.name:
                 rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
         first.append(len(rows))
-    if len(rows) > _kernel.max_spheres:
-        raise InvalidSetup("spheres of the body", got=len(rows), allowed=f"at most {_kernel.max_spheres}")
     rotation, offset = tool_frame(body)
     return {
         "joint_kind": np.array([float(joint.kind == "prismatic") for joint in body.joints]),

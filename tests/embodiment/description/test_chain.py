@@ -1,8 +1,6 @@
 """One serial chain out of any tree: what moves, what rides where, what stands still, and what is refused."""
 
-import re
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +17,7 @@ from dualbrain.embodiment.description.build import (
 from dualbrain.embodiment.description.chain import find_chain, standing
 from dualbrain.embodiment.description.urdf import read_urdf
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.safety import _kernel_wide
 from dualbrain.safety.filter import SafetyFilter
 
 from .robots import arm_with_everything, joint, link, policy, urdf, written
@@ -107,10 +106,31 @@ def test_a_planar_joint_before_the_chain_stands_still_and_is_told(tmp_path):
 
 
 def test_more_joints_than_the_kernel_has_are_refused(tmp_path):
-    names = [f"l{i}" for i in range(10)]
-    parts = [link(name) for name in names] + [joint(f"j{b}", a, b) for a, b in pairwise(names)]
-    with pytest.raises(InvalidSetup, match=r"got 9, allowed: at most 8.*--lock"):
-        build_arm(read_urdf(written(tmp_path, urdf(*parts))), policy(), Wish())
+    with pytest.raises(InvalidSetup, match=r"got 17, allowed: at most 16.*--lock"):
+        build_arm(read_urdf(written(tmp_path, snake(17))), policy(), Wish())
+
+
+def snake(n):
+    """A chain of `n` joints whose axes take turns."""
+    names = [f"l{i}" for i in range(n + 1)]
+    turns = [joint(f"j{b}", a, b, axis="0 1 0" if i % 2 else "0 0 1") for i, (a, b) in enumerate(pairwise(names))]
+    return urdf(*(link(name, (0.04, 0.04, 0.1), (0, 0, 0.1)) for name in names), *turns)
+
+
+@pytest.mark.parametrize("n", [8, 9, 14])
+def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
+    """The kernel's build is chosen by the body; the tool against a walk through the tree."""
+    tree = read_urdf(written(tmp_path, snake(n)))
+    body = build_arm(tree, policy(), Wish(quick=True, spheres=30, home=tuple([0.1] * n))).body
+    safety = SafetyFilter(body)
+    q = np.random.default_rng(n).uniform(-0.5, 0.5, n)
+    poses, _ = standing(tree, "l0", {joint.name: value for joint, value in zip(body.joints, q, strict=True)})
+    tool = safety.tool(q)
+    assert np.allclose(tool.position, poses[f"l{n}"][:3, 3], atol=3e-6)
+    assert np.allclose(tool.rotation, poses[f"l{n}"][:3, :3], atol=3e-6)
+    answer = safety(np.array(body.home), np.zeros(n), np.ones(n))
+    assert answer.certified
+    assert answer.u.shape == (n,)
 
 
 def test_the_body_moves_as_the_tree_says(everything):
@@ -140,8 +160,5 @@ def test_names_become_identifiers():
 
 
 def test_the_room_is_the_kernels():
-    text = (Path(__file__).resolve().parents[3] / "kernel/include/dbk/dbk_config.h").read_text()
-    room = dict(re.findall(r"#define DBK_MAX_(\w+) (\d+)", text))
-    assert [int(room[name]) for name in ("DOF", "SPHERES", "LINKS", "PAIRS")] == [
-        MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS
-    ]  # fmt: skip
+    room = (_kernel_wide.max_joints, _kernel_wide.max_spheres, _kernel_wide.max_links, _kernel_wide.max_pairs)
+    assert room == (MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS)

@@ -30,8 +30,8 @@ from dualbrain.linalg import quaternion
 Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 
-MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS = 8, 112, 20, 96
-"""The room that the compiled kernel has (kernel/include/dbk/dbk_config.h; a test holds them equal)."""
+MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS = 16, 232, 31, 320
+"""The room of the widest build of the kernel (CMakeLists.txt; a test holds them equal)."""
 SURFACE = 600
 """Points on each link's shapes by which pairs are looked at."""
 IMPORTANCE = {"base": 0.35, "arm": 1.0, "hand": 1.6, "fingers": 2.5}
