@@ -2,11 +2,13 @@
 
 It is a process of its own because llama.cpp aborts the whole process on some errors. It reads one line of settings from
 standard input, writes one line with its address (or the reason why it could not start) to standard output, and lives
-until its standard input closes, so that it never outlives its parent.
+until its standard input closes, so that it never outlives its parent, not even while it loads.
 """
 
+import fcntl
 import json
 import os
+import select
 import sys
 from importlib import import_module
 from typing import Any
@@ -17,7 +19,9 @@ def main() -> None:
     answer_to = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what llama.cpp prints must not mix with the answer
     try:
-        server = _start(json.loads(sys.stdin.readline()))
+        settings = json.loads(sys.stdin.readline())
+        _end_when_it_closes(sys.stdin.fileno())
+        server = _start(settings)
         answer = {"address": server.listening_address}
     except Exception as error:  # every failure to start is told to the parent
         answer = {"error": f"{type(error).__name__}: {error}"}
@@ -25,6 +29,17 @@ def main() -> None:
     answer_to.flush()
     sys.stdin.read()
     os._exit(0)
+
+
+def _end_when_it_closes(pipe: int) -> None:
+    """Let the kernel end this process (SIGIO) when the other end of `pipe` closes.
+
+    A thread could not: while the model loads, Python's lock is held for seconds.
+    """
+    fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
+    if select.select([pipe], [], [], 0.0)[0]:  # closed before the kernel was asked
+        os._exit(0)
 
 
 def _start(settings: dict[str, Any]) -> Any:

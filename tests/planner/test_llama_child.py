@@ -1,0 +1,38 @@
+"""The child that holds the model ends with its parent, even while something in C holds Python's lock."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from dualbrain.planner import llama_child
+
+LOADING = f"""
+import ctypes, sys
+sys.path.insert(0, {str(Path(llama_child.__file__).parent)!r})
+from llama_child import _end_when_it_closes
+_end_when_it_closes(sys.stdin.fileno())
+print("loading", flush=True)
+ctypes.PyDLL(None).sleep(60)
+"""
+"""A process that is as deaf as one that loads a model."""
+
+
+def test_it_lives_while_its_parent_does_and_ends_at_once_with_it():
+    child = subprocess.Popen([sys.executable, "-S", "-c", LOADING], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    with child:
+        assert child.stdout.readline() == b"loading\n"
+        time.sleep(0.2)
+        assert child.poll() is None
+        child.stdin.close()
+        assert child.wait(timeout=5.0) != 0
+
+
+def test_a_parent_that_is_gone_already_is_noticed():
+    read, write = os.pipe()
+    os.close(write)
+    command = [sys.executable, "-S", "-c", LOADING]
+    done = subprocess.run(command, stdin=read, timeout=20.0, check=False, capture_output=True)
+    os.close(read)
+    assert (done.returncode, done.stdout) == (0, b"")
