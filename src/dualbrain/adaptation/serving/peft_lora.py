@@ -1,0 +1,128 @@
+"""A low-rank adapter as peft writes it, read without torch; whatever is more than plain LoRA is refused.
+
+h ← W x + s B A x with A (r, in), B (out, r) and s = α/r, or α/√r if rank-stabilised (Hu et al. 2022, Kalajdzievski
+2023). Leaving out what is not understood would serve another model than the one that was measured.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup, MissingPart
+
+WEIGHTS, CONFIG = "adapter_model.safetensors", "adapter_config.json"
+NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
+PLAIN: dict[str, tuple[Any, ...]] = {
+    "use_dora": (False,), "use_qalora": (False,), "modules_to_save": (None, []), "fan_in_fan_out": (False,),
+    "bias": ("none",), "lora_bias": (False,), "alora_invocation_tokens": (None, []),
+    "trainable_token_indices": (None, [], {}), "layer_replication": (None, []), "target_parameters": (None, []),
+    "megatron_config": (None,), "arrow_config": (None,), "lora_ga_config": (None,),
+}  # fmt: skip
+"""What each setting of peft must be, if it is there: anything else changes what the adapter computes."""
+
+Matrix = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One linear layer's A (r, in) and B (out, r); s is multiplied into B already."""
+
+    a: Matrix
+    b: Matrix
+
+
+def read_lora(folder: Path) -> dict[str, Pair]:
+    """The pairs of the adapter in `folder` by the name of their layer, such as `model.layers.0.self_attn.q_proj`.
+
+    Raises `InvalidSetup` for a file that cannot be read and for everything that is not plain LoRA: DoRA, biases, whole
+    modules, tensors of other names, pairs that are not whole, ranks other than the config's, what is no number.
+    """
+    shape = _config(folder)
+    halves: dict[str, dict[str, Matrix]] = {}
+    for name, tensor in _tensors(folder / WEIGHTS):
+        found = NAME.fullmatch(name)
+        if found is None:
+            raise _refused("tensor", name, "a LoRA matrix A or B of a linear layer")
+        halves.setdefault(found[1], {})[found[2]] = tensor
+    if not halves:
+        raise _refused("adapter", "no tensors", "at least one pair of A and B")
+    return {module: _pair(module, both, shape) for module, both in sorted(halves.items())}
+
+
+def _config(folder: Path) -> dict[str, Any]:
+    path = folder / CONFIG
+    if not path.is_file():
+        raise MissingPart(f"{CONFIG} of the adapter", fix=f"An adapter is a folder that peft wrote. {folder}")
+    try:
+        shape = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise _refused(CONFIG, str(error), "JSON as peft writes it") from error
+    if not isinstance(shape, dict) or shape.get("peft_type") != "LORA":
+        raise _refused("peft_type", shape.get("peft_type") if isinstance(shape, dict) else shape, "LORA")
+    for setting, allowed in PLAIN.items():
+        if setting in shape and shape[setting] not in allowed:
+            raise _refused(setting, shape[setting], "plain LoRA only")
+    return shape
+
+
+def _tensors(path: Path) -> list[tuple[str, Matrix]]:
+    try:
+        from safetensors import SafetensorError, deserialize  # noqa: PLC0415  (only where an adapter is served)
+    except ModuleNotFoundError as error:
+        raise MissingPart(
+            "The package safetensors", fix="Install it with `pip install 'dualbrain[planner]'`."
+        ) from error
+    if not path.is_file():
+        raise MissingPart(f"{WEIGHTS} of the adapter", fix=f"An adapter is a folder that peft wrote. {path.parent}")
+    try:
+        return [(name, _matrix(name, told)) for name, told in deserialize(path.read_bytes())]
+    except SafetensorError as error:
+        raise _refused(WEIGHTS, str(error), "a whole safetensors file") from error
+
+
+def _matrix(name: str, told: Any) -> Matrix:
+    """Float32 numbers of one tensor; bf16 is the upper half of a float32."""
+    data, kind = told["data"], told["dtype"]
+    match kind:
+        case "F32":
+            flat = np.frombuffer(data, "<f4")
+        case "F16":
+            flat = np.frombuffer(data, "<f2").astype(np.float32)
+        case "BF16":
+            flat = (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32)
+        case _:
+            raise _refused(f"number format of {name}", kind, "F32, F16 or BF16")
+    matrix = flat.reshape(told["shape"])
+    if matrix.ndim != 2 or not np.isfinite(matrix).all():
+        raise _refused(f"tensor {name}", told["shape"], "a matrix of finite numbers")
+    return matrix
+
+
+def _pair(module: str, both: dict[str, Matrix], shape: dict[str, Any]) -> Pair:
+    if set(both) != {"A", "B"}:
+        raise _refused(f"adapter of {module}", f"only {', '.join(both)}", "A and B")
+    a, b = both["A"], both["B"]
+    rank = _of_pattern(shape.get("rank_pattern"), module, shape["r"])
+    alpha = _of_pattern(shape.get("alpha_pattern"), module, shape["lora_alpha"])
+    if not a.shape[0] == b.shape[1] == rank:
+        raise _refused(f"rank of {module}", (a.shape, b.shape), f"A ({rank}, in), B (out, {rank})")
+    scaling = alpha / (math.sqrt(rank) if shape.get("use_rslora") else rank)
+    return Pair(a, np.asarray(b * np.float32(scaling), np.float32))
+
+
+def _of_pattern(pattern: dict[str, Any] | None, module: str, default: Any) -> Any:
+    """The value for `module`: of the first pattern that its name ends in, as peft reads them."""
+    matching = (value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module))
+    return next(matching, default)
+
+
+def _refused(what: str, got: object, allowed: str) -> InvalidSetup:
+    return InvalidSetup(f"LoRA {what}", got=got, allowed=allowed, fix="This adapter cannot be served by llama.cpp.")

@@ -1,0 +1,213 @@
+"""The converter: what llama.cpp computes with the adapter is what torch computes; anything else is refused by name."""
+
+# ruff: noqa: E402  (nothing is imported where the extras are missing)
+import json
+import math
+import os
+import resource
+import shutil
+import urllib.request
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+for part in ("torch", "peft", "gguf", "xllamacpp"):
+    pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
+import gguf
+import torch
+import xllamacpp
+from peft import LoraConfig, get_peft_model
+from safetensors.torch import load_file, save_file
+
+from dualbrain.adaptation.durable import DiskFull
+from dualbrain.adaptation.serving.gguf_lora import convert, permuted
+from dualbrain.adaptation.serving.peft_lora import CONFIG, WEIGHTS, read_lora
+from dualbrain.errors import InvalidSetup, MissingPart
+from tests.adaptation.tiny_gguf import KINDS, interleaved, model, write_gguf
+
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
+PROMPT = [10, 20, 30, 200, 7, 99, 31, 64]
+
+
+def fitted(made, folder, dtype=torch.float32, **changed):
+    """A random adapter on `made`, written as peft writes it, and the model that wears it."""
+    shape = LoraConfig(
+        **({"r": 4, "lora_alpha": 12, "target_modules": "all-linear", "task_type": "CAUSAL_LM"} | changed)
+    )
+    worn = get_peft_model(made, shape, autocast_adapter_dtype=False).eval()
+    torch.manual_seed(5)
+    with torch.no_grad():
+        for parameter in worn.parameters():
+            if parameter.requires_grad:
+                parameter.copy_((0.1 * torch.randn_like(parameter)).to(dtype).float())
+    worn.save_pretrained(folder)
+    tensors = load_file(folder / WEIGHTS)
+    save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS)
+    return worn
+
+
+def of_torch(worn):
+    with torch.no_grad():
+        logits = worn(input_ids=torch.tensor([PROMPT]), use_cache=False).logits[0, -1]
+    return logits.double().log_softmax(-1).numpy()
+
+
+def of_llama(base, adapter, scale=1.0):
+    """Log-probabilities of the next token in llama.cpp, with full float caches."""
+    params = xllamacpp.CommonParams()
+    params.model.path = str(base)
+    params.n_ctx, params.n_parallel, params.cache_ram_mib = 256, 1, 0
+    params.cpuparams.n_threads = params.cpuparams_batch.n_threads = 1
+    params.warmup, params.verbosity = False, 0
+    params.cache_type_k = params.cache_type_v = xllamacpp.ggml_type.GGML_TYPE_F32
+    params.flash_attn_type = xllamacpp.llama_flash_attn_type.LLAMA_FLASH_ATTN_TYPE_DISABLED
+    params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(adapter), 1.0)]
+    params.lora_init_without_apply = True
+    server = xllamacpp.Server(params)
+    body = {"prompt": PROMPT, "n_predict": 1, "n_probs": 258, "temperature": 0.0, "lora": [{"id": 0, "scale": scale}]}
+    asked = urllib.request.Request(f"{server.listening_address}/completion", json.dumps(body).encode())
+    with urllib.request.urlopen(asked, timeout=30) as answer:
+        told = json.loads(answer.read())["completion_probabilities"][0]["top_logprobs"]
+    found = np.full(258, -math.inf)
+    for one in told:
+        found[one["id"]] = one["logprob"]
+    return found
+
+
+@pytest.mark.parametrize("architecture", KINDS)
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"use_rslora": True, "rank_pattern": {"layers.0.self_attn.k_proj": 2}, "alpha_pattern": {"down_proj": 5}}],
+    ids=["plain", "rank-stabilised with patterns"],
+)
+def test_llama_cpp_computes_what_torch_computes(architecture, changed, tmp_path):
+    made = model(architecture)
+    base = write_gguf(made, architecture, tmp_path / "base.gguf")
+    bare = of_torch(made)
+    worn = of_torch(fitted(made, tmp_path / "adapter", **changed))
+    assert convert(tmp_path / "adapter", base, tmp_path / "lora.gguf") == 14
+    assert np.abs(worn - bare).max() > 0.5
+    np.testing.assert_allclose(of_llama(base, tmp_path / "lora.gguf"), worn, atol=2e-4)
+    np.testing.assert_allclose(of_llama(base, tmp_path / "lora.gguf", scale=0.0), bare, atol=2e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_half_precision_is_read_exactly(dtype, tmp_path):
+    fitted(model("llama"), tmp_path / "a", dtype)
+    for module, pair in read_lora(tmp_path / "a").items():
+        tensors = load_file(tmp_path / "a" / WEIGHTS)
+        for half, found in (("A", pair.a), ("B", pair.b / 3.0)):
+            there = tensors[f"base_model.model.{module}.lora_{half}.weight"].float().numpy()
+            np.testing.assert_array_equal(found.astype(np.float32), there)
+
+
+@given(heads=st.integers(1, 5), half=st.integers(1, 4), width=st.integers(1, 3))
+def test_rows_are_permuted_head_by_head(heads, half, width):
+    rows = np.arange(heads * 2 * half * width, dtype=np.float32).reshape(heads * 2 * half, width)
+    np.testing.assert_array_equal(permuted(rows, heads), interleaved(rows, heads))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A base and an adapter that fits it."""
+    folder = tmp_path_factory.mktemp("whole")
+    made = model("llama")
+    write_gguf(made, "llama", folder / "base.gguf")
+    fitted(made, folder / "adapter")
+    return folder
+
+
+def changed(whole, tmp_path, config=None, tensors=None):
+    folder = tmp_path / "adapter"
+    shutil.copytree(whole / "adapter", folder)
+    if config:
+        path = folder / CONFIG
+        path.write_text(json.dumps(json.loads(path.read_text()) | config))
+    if tensors:
+        save_file(tensors(load_file(folder / WEIGHTS)), folder / WEIGHTS)
+    return folder
+
+
+A = "base_model.model.model.layers.0.self_attn.q_proj.lora_A.weight"
+B = A.replace("lora_A", "lora_B")
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"use_dora": True}, {"bias": "all"}, {"lora_bias": True}, {"modules_to_save": ["lm_head"]},
+        {"trainable_token_indices": [1]}, {"fan_in_fan_out": True}, {"layer_replication": [[0, 1]]},
+        {"peft_type": "VERA"}, {"r": 8}, {"target_parameters": ["x"]},
+    ],
+    ids=lambda one: next(iter(one)),
+)  # fmt: skip
+def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
+    with pytest.raises(InvalidSetup, match="LoRA"):
+        convert(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
+    assert not (tmp_path / "out.gguf").exists()
+
+
+@pytest.mark.parametrize(
+    ("tensors", "word"),
+    [
+        (lambda t: {n: v for n, v in t.items() if n != B}, "only A"),
+        (lambda t: t | {"base_model.model.lm_head.lora_A.weight": torch.zeros(4, 64),
+                        "base_model.model.lm_head.lora_B.weight": torch.zeros(258, 4)}, "lm_head"),
+        (lambda t: t | {"base_model.model.model.embed_tokens.lora_embedding_A": torch.zeros(4, 258)}, "embed"),
+        (lambda t: t | {"base_model.model.model.layers.0.self_attn.q_proj.bias": torch.zeros(64)}, "bias"),
+        (lambda t: t | {n.replace("layers.0", "layers.7"): t[n].clone() for n in (A, B)}, "layers.7"),
+        (lambda t: t | {B: torch.zeros(32, 4)}, "another base"),
+        (lambda t: t | {B: torch.full((64, 4), float("nan"))}, "finite"),
+        (lambda t: t | {A: t[A].to(torch.int32)}, "F32, F16 or BF16"),
+        (lambda t: {}, "at least one"),
+    ],
+    ids=["half a pair", "output", "embeddings", "bias", "no such layer", "shape", "no number", "integers", "empty"],
+)  # fmt: skip
+def test_what_has_no_place_in_the_base_is_refused(whole, tmp_path, tensors, word):
+    folder = changed(whole, tmp_path, tensors=lambda t: {n: v.contiguous() for n, v in tensors(t).items()})
+    if word == "at least one":
+        save_file({}, folder / WEIGHTS)
+    with pytest.raises(InvalidSetup, match=word):
+        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
+
+
+def test_damaged_files_and_other_bases_are_refused(whole, tmp_path):
+    folder = changed(whole, tmp_path)
+    (folder / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:-9])
+    with pytest.raises(InvalidSetup, match="safetensors"):
+        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
+    (folder / WEIGHTS).unlink()
+    with pytest.raises(MissingPart):
+        convert(folder, whole / "base.gguf", tmp_path / "out.gguf")
+    (tmp_path / "junk.gguf").write_bytes(b"GGUF" + os.urandom(64))
+    with pytest.raises(InvalidSetup):
+        convert(whole / "adapter", tmp_path / "junk.gguf", tmp_path / "out.gguf")
+    with pytest.raises(InvalidSetup, match="architecture"):
+        convert(whole / "adapter", _of_another_kind(tmp_path / "gpt2.gguf"), tmp_path / "out.gguf")
+
+
+def _of_another_kind(path):
+    writer = gguf.GGUFWriter(path, "gpt2")
+    writer.add_block_count(2)
+    writer.add_tensor("token_embd.weight", np.zeros((2, 2), np.float32))
+    writer.write_header_to_file()
+    writer.write_kv_data_to_file()
+    writer.write_tensors_to_file()
+    writer.close()
+    return path
+
+
+def test_a_full_disk_leaves_what_was_there(whole, tmp_path):
+    out = tmp_path / "lora.gguf"
+    out.write_bytes(b"before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(DiskFull):
+            convert(whole / "adapter", whole / "base.gguf", out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert out.read_bytes() == b"before"
+    assert [path.name for path in tmp_path.iterdir()] == ["lora.gguf"]

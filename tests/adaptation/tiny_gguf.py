@@ -1,0 +1,81 @@
+"""A tiny random model in torch and, with the same weights, as GGUF: what both compute can be compared."""
+
+import gguf
+import numpy as np
+import torch
+from transformers import LlamaConfig, LlamaForCausalLM, Qwen2Config, Qwen2ForCausalLM
+
+from tests.adaptation.tiny import TEMPLATE, tokenizer
+
+KINDS = {"llama": (LlamaConfig, LlamaForCausalLM), "qwen2": (Qwen2Config, Qwen2ForCausalLM)}
+HEADS, KV_HEADS, LAYERS, WIDTH = 4, 2, 2, 64
+
+
+def model(architecture, seed=0):
+    torch.manual_seed(seed)
+    config, kind = KINDS[architecture]
+    shape = config(
+        vocab_size=258, hidden_size=WIDTH, intermediate_size=96, num_hidden_layers=LAYERS, num_attention_heads=HEADS,
+        num_key_value_heads=KV_HEADS, max_position_embeddings=2048, tie_word_embeddings=True, pad_token_id=257,
+        eos_token_id=256, bos_token_id=256, initializer_range=0.2, rms_norm_eps=1e-5,
+    )  # fmt: skip
+    made = kind(shape).eval().requires_grad_(False)
+    made.config._attn_implementation = "eager"
+    for name, tensor in made.state_dict().items():
+        if name.endswith("bias"):
+            tensor.copy_(0.1 * torch.randn_like(tensor))
+    return made
+
+
+def interleaved(rows, heads):
+    """Rows of q or k as llama.cpp has them for `llama`: written index by index, apart from the converter's way."""
+    half = len(rows) // heads // 2
+    order = [h * 2 * half + i + part * half for h in range(heads) for i in range(half) for part in (0, 1)]
+    return rows[order]
+
+
+def write_gguf(made, architecture, path):
+    """The model `made` as a GGUF file in float32."""
+    shape = made.config
+    writer = gguf.GGUFWriter(path, architecture)
+    writer.add_context_length(2048)
+    writer.add_embedding_length(WIDTH)
+    writer.add_block_count(LAYERS)
+    writer.add_feed_forward_length(shape.intermediate_size)
+    writer.add_head_count(HEADS)
+    writer.add_head_count_kv(KV_HEADS)
+    writer.add_rope_dimension_count(WIDTH // HEADS)
+    writer.add_rope_freq_base(float(getattr(shape, "rope_theta", None) or shape.rope_parameters["rope_theta"]))
+    writer.add_layer_norm_rms_eps(shape.rms_norm_eps)
+    writer.add_vocab_size(258)
+    _add_tokenizer(writer)
+    kind = {name: arch for arch, name in gguf.MODEL_ARCH_NAMES.items()}[architecture]
+    names = gguf.get_tensor_name_map(kind, LAYERS)
+    for name, tensor in made.state_dict().items():
+        if name == "lm_head.weight":
+            continue
+        base, _, part = name.rpartition(".")
+        rows = tensor.detach().float().numpy()
+        if architecture == "llama" and base.endswith(("q_proj", "k_proj")):
+            rows = interleaved(rows, HEADS if base.endswith("q_proj") else KV_HEADS)
+        writer.add_tensor(f"{names.get_name(base)}.{part}", np.ascontiguousarray(rows))
+    writer.write_header_to_file()
+    writer.write_kv_data_to_file()
+    writer.write_tensors_to_file()
+    writer.close()
+    return path
+
+
+def _add_tokenizer(writer):
+    vocabulary = tokenizer().get_vocab()
+    tokens = sorted(vocabulary, key=vocabulary.get)
+    writer.add_tokenizer_model("gpt2")
+    writer.add_tokenizer_pre("smollm")
+    writer.add_token_list(tokens)
+    writer.add_token_types([gguf.TokenType.NORMAL] * 256 + [gguf.TokenType.CONTROL] * 2)
+    writer.add_token_merges(["Ā ā"])
+    writer.add_bos_token_id(256)
+    writer.add_eos_token_id(256)
+    writer.add_pad_token_id(257)
+    writer.add_add_bos_token(value=False)
+    writer.add_chat_template(TEMPLATE)
