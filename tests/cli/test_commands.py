@@ -100,7 +100,8 @@ def test_replay_of_what_is_no_recording(tell, tmp_path):
         assert name in err
 
 
-def test_models_list_names_every_file_with_its_licence(tell):
+def test_models_list_names_every_file_with_its_licence(tell, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "30")  # names stay whole, so that they can be copied
     code, out, _ = tell("models", "list")
     assert code == Exit.SUCCESS
     for name in ("qwen2.5-coder-1.5b-instruct", "smollm2-135m-instruct", "minilm-l6-v2-int8", "Apache-2.0"):

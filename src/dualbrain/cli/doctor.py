@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 from dualbrain import __version__, weights
+from dualbrain.cli.console import listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.graphics import choose_graphics
@@ -45,10 +43,8 @@ def doctor(*, robot: str = "") -> int:
 
 
 def _told(findings: list[Finding]) -> int:
-    table = Table("", "what", "found", box=None, pad_edge=False)
-    for finding in findings:
-        table.add_row("[green]ok[/]" if finding.good else "[red]--[/]", finding.what, finding.text)
-    Console().print(table)
+    rows = [("ok" if finding.good else "--", finding.what, finding.text) for finding in findings]
+    listing(("", "what", "found"), rows, gives=("found",))
     return Exit.SUCCESS if all(finding.good for finding in findings) else Exit.SETUP
 
 

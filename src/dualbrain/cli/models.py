@@ -6,21 +6,25 @@ import sys
 
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-from rich.table import Table
 
 from dualbrain import weights
+from dualbrain.cli.console import listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 
 
 def list_models() -> int:
     """List the known weights: name, licence, size, whether they are here and verified."""
-    table = Table("name", "licence", "size", "here", box=None, pad_edge=False)
-    for status in weights.list_weights(cache()):
-        here = "verified" if status.verified else "present" if status.present else "-"
-        table.add_row(status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", here)
-    Console().print(table)
+    rows = [
+        (status.file.name, status.file.licence, f"{status.file.size / 1e6:,.0f} MB", _here(status))
+        for status in weights.list_weights(cache())
+    ]
+    listing(("name", "licence", "size", "here"), rows)
     return Exit.SUCCESS
+
+
+def _here(status: weights.WeightStatus) -> str:
+    return "verified" if status.verified else "present" if status.present else "-"
 
 
 def fetch(*names: str) -> int:
