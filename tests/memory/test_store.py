@@ -19,7 +19,7 @@ from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import Memory
 from dualbrain.memory.trace import LESSONS
-from dualbrain.records import Judgement, OutcomeClass, Recall, Violation
+from dualbrain.records import Judgement, OutcomeClass, Recall, SecondOpinion, Violation
 
 from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
@@ -96,14 +96,35 @@ def test_an_outcome_moves_the_new_memory_and_then_those_in_the_prompt(tmp_path: 
         before = memory.weights()
         recall = _recall(memory, k=2)
         report = memory.store(episode("d", recall=recall), REST, now=NOW)
-        assert [change.memory for change in report.changes] == ["d", "b", "a", "c"]
-        assert [change.rank for change in report.changes] == [0, 1, 2, 3]
+        assert [hit.episode_id for hit in recall.warnings] == ["c"]
+        assert [change.memory for change in report.changes] == ["d", "b", "a"]
+        assert [change.rank for change in report.changes] == [0, 1, 2]
         assert {change.rule for change in report.changes} == {"reinforce"}
-        assert memory.weights()["unseen"] == before["unseen"]
+        assert {name: memory.weights()[name] for name in ("unseen", "c")} == {
+            name: before[name] for name in ("unseen", "c")
+        }
         for change in report.changes[1:]:
             assert change.before == before[change.memory]
             assert memory.weights()[change.memory] == pytest.approx(0.95 * before[change.memory] + 0.1)
-        assert str(report) == "weights: d (new) 0.50 -> 0.57, b 0.57 -> 0.65, a 0.57 -> 0.65, c 0.38 -> 0.46"
+        assert str(report) == "weights: d (new) 0.50 -> 0.57, b 0.57 -> 0.65, a 0.57 -> 0.65"
+
+
+@pytest.mark.parametrize("kind", ["succeeded", "failed", "rejected"])
+@pytest.mark.parametrize("opinion", ["agrees", "none"])
+def test_a_warning_in_the_prompt_is_not_taught_neither_now_nor_when_a_candidate_is_confirmed(
+    tmp_path: Path, kind: OutcomeClass, opinion: SecondOpinion
+) -> None:
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger)
+        memory.store(episode("a"), REST, now=NOW)
+        memory.store(episode("bad", "failed"), REST, now=NOW)
+        before = memory.weights()
+        recall = _recall(memory)
+        assert [hit.episode_id for hit in recall.warnings] == ["bad"]
+        memory.store(episode("b", kind, recall=recall, second_opinion=opinion), REST, now=NOW)
+        memory.store(episode("c"), REST, now=NOW)  # the same plan again: confirms what waited
+        assert memory.weights()["bad"] == before["bad"]
+        assert memory.weights()["a"] != before["a"]
 
 
 def test_a_rejected_contract_is_suppressed_without_a_delta(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from dualbrain.memory.plasticity import W0
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.provenance import provenance_of
 from dualbrain.memory.state import Memo, State
-from dualbrain.memory.trace import LESSONS, payload, read_shown, read_stored, retrieved
+from dualbrain.memory.trace import LESSONS, followed, payload, read_followed, read_stored
 from dualbrain.records import Episode, OutcomeClass
 
 CANDIDATES = 20
@@ -62,7 +62,7 @@ class Consolidation:
         changes, around = list[Weighing](), 0
         if teacher and status == "active" and LESSONS[episode.outcome.kind] != "none":
             teacher.welcome(episode.id, W0)
-            shown = tuple(str(hit["memory"]) for hit in retrieved(episode.recall))
+            shown = followed(episode.recall)
             Delta = _executed(episode.outcome.kind, episode.outcome.Delta)
             lecture = Lecture(episode.id, source, episode.outcome.r, Delta, shown, self._around(embedded, episode))
             changes, neighbours = teacher.teach(lecture)
@@ -115,7 +115,7 @@ class Consolidation:
 
     def _lecture(self, memo: Memo) -> Lecture:
         data, row = self._ledger.event(memo.seq).payload, self._state.rows[memo.id]
-        shown = [name for name in read_shown(data) if name in self._state]
+        shown = [name for name in read_followed(data) if name in self._state]
         embedded = Embedded(self._index.scan.rows[row], int(self._index.scan.masks[row]))
         around = self._around(embedded, memo)
         Delta = _executed(memo.kind, memo.Delta)

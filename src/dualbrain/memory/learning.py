@@ -1,7 +1,8 @@
 """What one outcome does to weights, in the order that is part of its meaning (paper 5.3).
 
-First the new memory, from w = 0.5; then the memories that stood in the prompt, by rank; then the Gaussian neighbourhood
-of the new one. Updates do not commute.
+First the new memory, from w = 0.5; then the exemplars that stood in the prompt, by rank; then the Gaussian
+neighbourhood of the new one. Warnings that stood beside them are not taught: nobody followed them. Updates do not
+commute.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dualbrain.memory.trust import Account, Trust
 
 @dataclass(frozen=True, slots=True)
 class Lecture:
-    """One outcome and whom it teaches: episode `cause` of `source`, label `r`, `Delta`, the memories `shown` by rank.
+    """One outcome and whom it teaches: episode `cause` of `source`, label `r`, `Delta`, the exemplars `shown` by rank.
 
     `neighbours` are id and squared distance ‖e_j − e_i‖² of those around it, nearest first.
     """

@@ -121,7 +121,7 @@ class Memory:
         """Write `episode` and the weight changes it causes, in one transaction, at `now` [s, 1970 UTC].
 
         `episode.recall` must hold what stood in the prompt. Order: the new memory from w = 0.5 by its own outcome, then
-        those in the prompt by rank (exemplars, then warnings), then its neighbourhood. A candidate teaches nothing
+        the exemplars in the prompt by rank (never the warnings), then its neighbourhood. A candidate teaches nothing
         until something confirms it. `episode.judgement` is neither read nor written: the ledger is the same whatever
         simulator truth says.
         """

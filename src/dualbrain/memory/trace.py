@@ -138,14 +138,23 @@ def read_memo(data: bytes) -> MemoHead:
     return msgspec.json.decode(data, type=MemoHead)
 
 
-class _Shown(msgspec.Struct, frozen=True):
+def followed(recall: Recall) -> tuple[str, ...]:
+    """Ids of those that an outcome teaches besides the new memory: the exemplars, in rank order (paper 5.3).
+
+    A warning was shown so that it be not followed: a success says nothing for it, a failure nothing against it.
+    """
+    return tuple(dict.fromkeys(hit.episode_id for hit in sorted(recall.exemplars, key=_rank)))
+
+
+class _Shown(msgspec.Struct, frozen=True, rename={"kind": "as"}):
     memory: str
+    kind: str
 
 
 class _Prompt(msgspec.Struct, frozen=True):
     retrieved: tuple[_Shown, ...]
 
 
-def read_shown(data: bytes) -> tuple[str, ...]:
-    """Ids of the memories that stood in the prompt, in their order, from the payload of an episode event."""
-    return tuple(shown.memory for shown in msgspec.json.decode(data, type=_Prompt).retrieved)
+def read_followed(data: bytes) -> tuple[str, ...]:
+    """What `followed` said of an episode, from the payload of its event."""
+    return tuple(one.memory for one in msgspec.json.decode(data, type=_Prompt).retrieved if one.kind == "exemplar")
