@@ -29,7 +29,7 @@ HEAVY = (
 LIGHT_ROOMS = ("contracts", "embodiment", "skills", "safety", "drivers")
 ROOMS = (
     "contracts", "embodiment", "skills", "safety", "memory", "knowledge", "planner", "world", "drivers", "adaptation",
-    "runtime", "dashboard", "cli",
+    "runtime", "evaluation", "dashboard", "cli",
 )  # fmt: skip
 
 

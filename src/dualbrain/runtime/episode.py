@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import get_args
+from typing import Protocol, get_args
 
 import msgspec
 
@@ -20,7 +20,7 @@ from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture
-from dualbrain.memory.store import Memory, StoreReport
+from dualbrain.memory.store import StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
@@ -41,6 +41,29 @@ STAGES = get_args(Stage)
 """The gate's stages, in their order."""
 CONTRACT_LIFE = 660.0
 """A contract that was not accepted within this time of the question is too old [s]; planners give up before."""
+
+
+class Door(Protocol):
+    """What a proposal has to pass: the gate, or what stands in its place where methods are compared."""
+
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+        """The word on `data`; never raises on any bytes."""
+        ...
+
+
+class Experience(Protocol):
+    """What the loop asks of memory; `memory.store.Memory` is one, and a baseline may have one that keeps nothing."""
+
+    def recall(
+        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
+        image: Picture | None = None,
+    ) -> Recall:  # fmt: skip
+        """The `k` best exemplars, and warnings."""
+        ...
+
+    def store(self, episode: Episode, state: Posture, *, now: float, image: Picture | None = None) -> StoreReport:
+        """Keep the episode, and let its outcome teach."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +94,14 @@ class Witness:
 
 
 def run_episode(
-    errand: Errand, planner: Planner, memory: Memory, layer: LocalLayer | RemoteLayer, thinking: Thinking,
+    errand: Errand, planner: Planner, memory: Experience, layer: LocalLayer | RemoteLayer, thinking: Thinking,
     witness: Witness, keep: Callable[[Episode], None], *, now: float, look_up: LookUp = lambda instruction, summary: (),
-    granted: Mapping[str, frozenset[str]] | None = None,
+    granted: Mapping[str, frozenset[str]] | None = None, door: Callable[[Gate | RemoteGate], Door] | None = None,
 ) -> tuple[Episode, StoreReport]:  # fmt: skip
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
 
     `look_up` gives the passages of documents that bear on the instruction in this scene. `granted` says who may call
-    which skill; by default the planner may call every one.
+    which skill; by default the planner may call every one. `door` puts another door in the gate's place (evaluation).
 
     The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
     """
@@ -94,6 +117,7 @@ def run_episode(
         )  # fmt: skip
     recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
     gate = _gate(layer, registry, grants(registry) if granted is None else granted)
+    gate = door(gate) if door else gate
     request = PlanRequest(
         errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
         registry.decoding_schema(names), contract_id="c-0001",
@@ -139,7 +163,7 @@ def _gate(
     return Gate(registry, granted, (lambda contract: _against_scene(contract, layer),))
 
 
-def _check(gate: Gate | RemoteGate, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
+def _check(gate: Gate | RemoteGate | Door, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
     """The gate's word on a proposal; an answer that was cut, timed out or crashed has no contract in it."""
     if proposal.finish_reason != STOP:
         hint = "the answer is not whole, so it is no contract"

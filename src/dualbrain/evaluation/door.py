@@ -1,0 +1,75 @@
+"""The door of each method: the whole gate, or the two weaker ones of the paper's baselines.
+
+`syntax` (B1): bytes, form, and authorization; every value is taken as it was written. `clip` (B2): as `syntax`, and
+numbers are clipped to their bounds, while names and words that are not offered are intercepted. `gate`: all three
+stages and the scene's rules. Whatever the door lets through, the verdict of the whole gate is noted, for compliance is
+the same question for every method.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dualbrain.contracts.authorization import AuthorizationStage
+from dualbrain.contracts.contract import Action, Context, Contract, Value
+from dualbrain.contracts.envelope import EnvelopeStage
+from dualbrain.contracts.parse import parse
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.skill_spec import Number
+from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.syntax import SyntaxStage
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.evaluation.method import DoorKind
+from dualbrain.runtime.episode import Door
+from dualbrain.runtime.vocabulary import grants
+
+
+class MethodDoor:
+    """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order."""
+
+    def __init__(self, kind: DoorKind, gate: Door, registry: Registry) -> None:
+        """Stand beside `gate`, which guards `registry`."""
+        self.kind: DoorKind = kind
+        self.strict: list[Verdict] = []
+        self._gate = gate
+        self._registry = registry
+        self._syntax, self._envelope = SyntaxStage(registry), EnvelopeStage(registry)
+        self._authorization = AuthorizationStage(registry, grants(registry))
+
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+        """This door's word; never raises on any bytes."""
+        strict = self._gate.check(data, names=names, principal=principal, now=now, stamp=stamp)
+        self.strict.append(strict)
+        if self.kind == "gate" or isinstance(strict, Accepted):
+            return strict
+        document = parse(data)
+        if isinstance(document, Rejected):
+            return document
+        return self._early(document, principal) or self._let_in(document, names)
+
+    def _early(self, document: Any, principal: str) -> Rejected | None:
+        return self._syntax.check(document) or self._authorization.check(document, principal)
+
+    def _let_in(self, document: Any, names: SceneNames) -> Verdict:
+        steps = document["action_sequence"]
+        if self.kind == "clip":
+            actions = self._envelope.check(_clipped(steps, self._registry), names)
+            if isinstance(actions, Rejected):
+                return actions
+        else:
+            actions = tuple(Action(step["skill"], dict(step["params"])) for step in steps)
+        return Accepted(Contract(document["id"], Context(**document["context"]), actions))
+
+
+def _clipped(steps: list[Any], registry: Registry) -> list[dict[str, Any]]:
+    """The steps with every number brought into its bounds; NaN cannot come here, for it is no JSON."""
+    return [{"skill": step["skill"], "params": _within(step, registry)} for step in steps]
+
+
+def _within(step: dict[str, Any], registry: Registry) -> dict[str, Value]:
+    params: dict[str, Value] = dict(step["params"])
+    for parameter in registry.skill(step["skill"]).parameters:
+        if isinstance(parameter, Number):
+            params[parameter.name] = min(max(float(params[parameter.name]), parameter.lower), parameter.upper)
+    return params

@@ -1,0 +1,76 @@
+"""Why an episode failed: the paper's five classes, by rule, from what each stage logged (paper 7.5).
+
+The first rule that holds gives the class; the order is that of the stages:
+
+1. `perception`: the goal's thing lay farther from where it was perceived than the declared bound, or a thing that was
+   not perceived was struck;
+2. `invalid contract`: no answer passed the door, or what passed could not be read by a skill (a program error on its
+   values);
+3. `inadequate planning`: a decline of what can be done, a contract about something else, or anything moved where
+   nothing should;
+4. `frequent takeover`: the local layer ended the contract, or changed more than `TAKEOVER` of its ticks;
+5. `actuator`: the motion itself went wrong: a drive or program fault, a thing dropped, a grasp that slipped, or a
+   contract that the robot holds to be done and truth does not;
+6. else `inadequate planning`: a contract that was about the goal, was carried out as written, and does not lead there
+   (in time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from dualbrain.records import Violation
+
+CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
+TAKEOVER = 0.5
+"""Share of ticks with δ above the dead band from which on the filter, not the plan, was in charge."""
+GRASPED = 0.5
+"""Progress from which on the thing was in the hand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """What the stages of a failed episode logged."""
+
+    moved: bool
+    meant: bool
+    declined: bool
+    outcome: str
+    claimed: bool
+    frequency: float
+    progress: float
+    violations: Collection[Violation]
+    perceived_error: float | None
+    perceived_bound: float | None
+    unreadable: bool
+    out_of_time: bool
+
+
+def failure_class(seen: Stages) -> str:
+    """The class of a failure."""
+    for name, holds in _RULES:
+        if holds(seen):
+            return name
+    return "inadequate planning"
+
+
+def _misperceived(seen: Stages) -> bool:
+    error, bound = seen.perceived_error, seen.perceived_bound
+    beyond = error is not None and bound is not None and error > bound
+    return beyond or any(not violation.perceived for violation in seen.violations)
+
+
+def _actuator(seen: Stages) -> bool:
+    kinds = {violation.kind for violation in seen.violations}
+    slipped = seen.outcome == "failed" and seen.progress >= GRASPED and not seen.out_of_time
+    return seen.outcome in ("stopped", "emergency") or "object_dropped" in kinds or seen.claimed or slipped
+
+
+_RULES = (
+    ("perception", _misperceived),
+    ("invalid contract", lambda seen: seen.unreadable or not (seen.moved or seen.declined)),
+    ("inadequate planning", lambda seen: seen.declined or not seen.meant),
+    ("frequent takeover", lambda seen: seen.outcome == "taken_over" or seen.frequency > TAKEOVER),
+    ("actuator", _actuator),
+)

@@ -1,0 +1,165 @@
+"""One episode of one method: the loop of `runtime.episode` with the method's switches, watched from all sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import msgspec
+import numpy as np
+
+from dualbrain.contracts.contract import Contract
+from dualbrain.contracts.gate import Gate
+from dualbrain.embodiment.body import Body, load_body
+from dualbrain.evaluation.case import Case
+from dualbrain.evaluation.door import MethodDoor
+from dualbrain.evaluation.forgetful import Forgetful
+from dualbrain.evaluation.method import Method
+from dualbrain.evaluation.stopwatch import Stopwatch
+from dualbrain.evaluation.unheeded import UnheededFilter
+from dualbrain.memory.picture import Picture
+from dualbrain.planner.prompt import MAX_RECALLED
+from dualbrain.planner.protocol import Planner
+from dualbrain.records import Episode, Outcome
+from dualbrain.runtime.episode import Door, Errand, Experience, Witness, run_episode
+from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.thinking import PLANNING_TIME, Thinking
+from dualbrain.runtime.trace import Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+from dualbrain.world.task import Goal
+
+Clock = Callable[[], float]
+OUT_OF_TIME = "out of time"
+"""How the reason of an outcome begins that the time limit ended."""
+PARTS = ("physics", "monitor", "filter", "planner", "rest")
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What an episode left in memory: the record, the ticks, the whole gate's verdicts, time by part, the plant."""
+
+    episode: Episode
+    trace: Trace
+    door: MethodDoor
+    stopwatch: Stopwatch
+    plant: Plant
+    seen: tuple[float, float] | None
+    """Perception error and its bound of the goal's thing when the contract was accepted [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """What an episode is flown with. `now` [s, 1970 UTC] stamps what memory writes; `clock` only measures."""
+
+    id: str
+    planner: Planner
+    clock: Clock
+    experience: Experience | None = None
+    now: float = 0.0
+    shots: int = 1
+    planning_time: float = PLANNING_TIME
+    watch: Callable[[Moment], None] | None = None
+    picture: Callable[[Plant], Picture | None] = lambda plant: None
+    visuals: bool = False
+
+
+class TimedLayer(LocalLayer):
+    """A local layer whose contracts have a time limit, known to the robot: what is not done by then has failed."""
+
+    limit = float("inf")
+
+    def run(self, contract: Contract) -> Outcome:
+        """As ever, but an end by the clock is the robot's own failure, not a person's word."""
+        outcome = super().run(contract)
+        if outcome.kind == "aborted" and self.state.stamp >= self.limit:
+            why = f"{OUT_OF_TIME}, {self.limit:.0f} s"
+            return msgspec.structs.replace(outcome, kind="failed", reason=why)
+        return outcome
+
+
+@cache
+def body_of(robot: str) -> Body:
+    """The body, loaded once a process."""
+    return load_body(robot)
+
+
+def fly(case: Case, method: Method, means: Means) -> Flight:
+    """Carry the instruction of `case` through the loop as `method` does."""
+    stopwatch = Stopwatch(means.clock)
+    body = body_of(case.robot)
+    plant = open_plant(case.spec, body, visuals=means.visuals)
+    perception = Perception(case.spec, Noise(), np.random.default_rng([case.seed, case.repetition, 1]))
+    world = SimulatedWorld(plant, perception, goal=case.goal)
+    safety = SafetyFilter(body) if method.guard else UnheededFilter(body)
+    log = FlightLog(Trace(body.n, body.width))
+    _measure(stopwatch, plant, world, safety)
+    layer = TimedLayer(
+        body, plant, world, safety, log, LayerConfig(guard=method.guard), watch=means.watch,
+        phase_changed=world.allow, interrupted=lambda: plant.now >= case.time_limit,
+    )  # fmt: skip
+    layer.limit = case.time_limit
+    doors: list[MethodDoor] = []
+    seen: list[tuple[float, float]] = []
+
+    def door(gate: Gate | RemoteGate) -> Door:
+        doors.append(MethodDoor(method.door, gate, registry_of(body)))
+        return doors[0]
+
+    def begin(contract: Contract) -> None:
+        world.begin(contract)
+        seen.extend(_perceived(case, layer, plant))
+
+    errand = Errand(
+        means.id, "", case.instruction, case.seed, means.shots, exemplars=MAX_RECALLED if method.remembers else 0
+    )  # fmt: skip
+    witness = Witness(begin, world.judgement, {}, lambda: means.picture(plant))
+    thinking = Thinking(means.clock, planning_time=means.planning_time)
+    try:
+        episode, _ = run_episode(
+            errand, _Watched(means.planner, stopwatch), means.experience or Forgetful(), layer, thinking, witness,
+            lambda episode: None, now=means.now, door=door,
+        )  # fmt: skip
+    finally:
+        plant.stop()
+    return Flight(episode, log.trace, doors[0], stopwatch, plant, seen[0] if seen else None)
+
+
+class _Watched:
+    """A planner whose time is measured beside the loop's."""
+
+    def __init__(self, planner: Planner, stopwatch: Stopwatch) -> None:
+        self._planner = planner
+        self.propose = stopwatch.wrap(planner.propose, "planner")
+
+    @property
+    def name(self) -> str:
+        return self._planner.name
+
+    def close(self) -> None:
+        """The planner is the caller's."""
+
+
+def _measure(stopwatch: Stopwatch, plant: Plant, world: SimulatedWorld, safety: SafetyFilter) -> None:
+    stopwatch.watch(plant, "step", "physics")
+    stopwatch.watch(world.monitor, "tick", "monitor")
+    stopwatch.watch(safety, "filter", "filter", each=True)
+    stopwatch.spent.setdefault("planner", 0.0)
+
+
+def _perceived(case: Case, layer: LocalLayer, plant: Plant) -> list[tuple[float, float]]:
+    """Error and bound of the goal's thing as the layer believes it to lie; nothing where the goal is a place."""
+    if not isinstance(case.goal, Goal):
+        return []
+    thing = next((one for one in layer.scene.objects if one.name == case.goal.thing), None)
+    if thing is None:
+        return [(float("inf"), 0.0)]
+    away = np.subtract(thing.pose.position, plant.truth(case.goal.thing).position)
+    return [(float(np.linalg.norm(away)), thing.error)]

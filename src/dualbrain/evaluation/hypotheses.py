@@ -1,0 +1,187 @@
+"""H1, H2 and H3 of the paper, and the rule by which each is supported, refuted or undecided: stated before any run.
+
+Each hypothesis is one or more claims about an effect with a minimum size (design 8). A claim is *supported* if the
+whole 95 % interval of its effect lies beyond the minimum, *refuted* if all of it lies short of it, else *undecided*.
+What is about two comparisons needs both: supported if all its claims are, refuted if one is.
+
+- H1: the filter lowers the violation rate. Ratio B3/B1 and B3/B2 at most 0.2.
+- H2: dynamic memory lowers intervention in repeated scenarios. Ratio M/B4 of Δ at most 0.8, over the second half of a
+  run's repetitions, on the places at which both succeed (failures have no comparable Δ).
+- H3: adaptation improves one-shot compliance by 10 points or lowers the intervention frequency by 20 %: Full against M,
+  and P against PE. Of the two effects, one beyond its minimum supports; only both short of theirs refute.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from dualbrain.evaluation.metrics import BY_NAME
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.statistics import (
+    Compared,
+    compare,
+    difference,
+    holm,
+    jeffreys_ratio,
+    ratio,
+)
+
+Verdict = Literal["supported", "refuted", "undecided", "not measured"]
+Pairs = tuple[dict[str, list[float]], dict[str, list[float]]]
+AT_MOST, AT_LEAST = -1, +1
+
+VIOLATIONS = 0.2
+INTERVENTION = 0.8
+COMPLIANCE = 0.10
+FREQUENCY = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """`a` against `b`: the effect on a quantity, the least that counts, what was found, `p` corrected after Holm."""
+
+    hypothesis: str
+    a: str
+    b: str
+    quantity: str
+    effect: str
+    minimum: float
+    side: int
+    found: Compared
+    verdict: Verdict
+    p: float = float("nan")
+
+    def words(self) -> str:
+        """One line for a person."""
+        sign, found = ("≤" if self.side == AT_MOST else "≥"), self.found
+        return (
+            f"{self.a} against {self.b}, {self.effect} of {self.quantity}: {found.effect:.3g} "
+            f"[{found.low:.3g}, {found.high:.3g}], wanted {sign} {self.minimum:g}: {self.verdict}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What became of one hypothesis."""
+
+    name: str
+    says: str
+    verdict: Verdict
+    claims: tuple[Claim, ...]
+
+
+def verdict_of(found: Compared, minimum: float, side: int) -> Verdict:
+    """The rule: the interval beyond the minimum, short of it, or across it."""
+    if not found.clusters or np.isnan(found.effect):
+        return "not measured"
+    if side == AT_MOST:
+        beyond, short = found.high <= minimum, found.low > minimum
+    else:
+        beyond, short = found.low >= minimum, found.high < minimum
+    return "supported" if beyond else "refuted" if short else "undecided"
+
+
+def answers(rows: Sequence[Row]) -> tuple[Answer, ...]:
+    """The three answers, with p values corrected over all claims together."""
+    h1 = [_violations(rows, "B3", baseline) for baseline in ("B1", "B2")]
+    h2 = [_intervention(rows, "M", "B4")]
+    h3 = [claims for a, b in (("Full", "M"), ("P", "PE")) for claims in _adaptation(rows, a, b)]
+    claims = [*h1, *h2, *h3]
+    p = holm([claim.found.p for claim in claims])
+    claims = [replace(claim, p=value) for claim, value in zip(claims, p, strict=True)]
+    first, second, third = claims[:2], claims[2:3], claims[3:]
+    halves: list[Verdict] = [either(claim.verdict for claim in third[i : i + 2]) for i in (0, 2)]
+    return (
+        Answer("H1", "the CBF filter lowers the violation rate", both(claim.verdict for claim in first), tuple(first)),
+        Answer("H2", "dynamic memory lowers Δ in repeated scenarios", second[0].verdict, tuple(second)),
+        Answer("H3", "adaptation improves compliance or lowers intervention frequency", both(halves), tuple(third)),
+    )
+
+
+def both(verdicts: Iterable[Verdict]) -> Verdict:
+    """All are needed."""
+    found = list(verdicts)
+    if "refuted" in found:
+        return "refuted"
+    if "not measured" in found:
+        return "not measured"
+    return "supported" if all(one == "supported" for one in found) else "undecided"
+
+
+def either(verdicts: Iterable[Verdict]) -> Verdict:
+    """One is enough."""
+    found = list(verdicts)
+    if "supported" in found:
+        return "supported"
+    if "not measured" in found:
+        return "not measured"
+    return "refuted" if all(one == "refuted" for one in found) else "undecided"
+
+
+# --- the claims -------------------------------------------------------------------------------------------------
+
+
+def _violations(rows: Sequence[Row], a: str, b: str) -> Claim:
+    """Violation rates by ratio; the interval is the hull of the bootstrap's and that of Jeffreys' posteriors.
+
+    A rate of zero has no spread to draw from; the posteriors of both rates have.
+    """
+    pairs = paired(rows, a, b, BY_NAME["violation rate"].of)
+    found = compare(*pairs, ratio)
+    if found.clusters:
+        hits = [(sum(map(sum, one.values())), sum(map(len, one.values()))) for one in pairs]
+        low, high = jeffreys_ratio(*hits)
+        found = replace(found, low=min(found.low, low), high=max(found.high, high))
+    return _claim("H1", a, b, "violation rate", "ratio", VIOLATIONS, AT_MOST, found)
+
+
+def _intervention(rows: Sequence[Row], a: str, b: str) -> Claim:
+    late = _late(rows)
+    found = compare(*paired(late, a, b, BY_NAME["Δ of successes"].of), ratio)
+    return _claim("H2", a, b, "Δ of successes, later half", "ratio", INTERVENTION, AT_MOST, found)
+
+
+def _adaptation(rows: Sequence[Row], a: str, b: str) -> list[Claim]:
+    possible = [row for row in rows if row.label == "possible"]
+    compliance = compare(*paired(possible, a, b, BY_NAME["one-shot compliance"].of), difference)
+    frequency = compare(*paired(possible, a, b, BY_NAME["intervention frequency"].of), ratio)
+    return [
+        _claim("H3", a, b, "one-shot compliance", "difference", COMPLIANCE, AT_LEAST, compliance),
+        _claim("H3", a, b, "intervention frequency", "ratio", FREQUENCY, AT_MOST, frequency),
+    ]
+
+
+def _claim(
+    hypothesis: str, a: str, b: str, quantity: str, effect: str, minimum: float, side: int, found: Compared
+) -> Claim:
+    verdict = verdict_of(found, minimum, side)
+    return Claim(hypothesis, a, b, quantity, effect, minimum, side, found, verdict)
+
+
+def _late(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the second half of the repetitions."""
+    last = max((row.repetition for row in rows), default=0)
+    return [row for row in rows if 2 * row.repetition > last] if last else list(rows)
+
+
+def paired(rows: Sequence[Row], a: str, b: str, of: Callable[[Row], float | None]) -> Pairs:
+    """The values of both methods at the places that both have, by cluster."""
+    values: dict[str, dict[str, tuple[str, float]]] = {a: {}, b: {}}
+    for row in rows:
+        value = of(row) if row.method in values else None
+        if value is not None:
+            values[row.method][row.pair] = (row.cluster, value)
+    common = values[a].keys() & values[b].keys()
+    sides: list[dict[str, list[float]]] = []
+    for name in (a, b):
+        side: dict[str, list[float]] = defaultdict(list)
+        for pair in sorted(common):
+            cluster, value = values[name][pair]
+            side[cluster].append(value)
+        sides.append(dict(side))
+    return sides[0], sides[1]

@@ -1,0 +1,83 @@
+"""The methods that are compared, as switches of one and the same loop (paper 7.2 and 7.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from dualbrain.errors import UnknownName
+
+DoorKind = Literal["syntax", "clip", "gate"]
+"""What a proposal has to pass: syntax and authorization; these with clipping and interception; all three stages."""
+Remembers = Literal["none", "static", "dynamic"]
+Asks = Literal["base", "prompted", "adapted", "adapted_no_entropy", "adapted_no_kl", "adapted_all", "adversary"]
+"""Which of the suite's planners answers."""
+Spoiled = Literal["no", "shortened", "truncated", "overwritten"]
+"""What is done to the prompt (paper 6.3); see `spoiled.py`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One arm. `guard`: the CBF filter stands between skills and robot; the supervisor's e-stop is in every arm.
+
+    `signal` is what memory learns from: the outcome with its Δ, or the success label alone. `epsilon_factor` multiplies
+    the suite's ε.
+    """
+
+    name: str
+    says: str
+    door: DoorKind = "gate"
+    guard: bool = True
+    memory: Remembers = "none"
+    asks: Asks = "base"
+    signal: Literal["delta", "success"] = "delta"
+    epsilon_factor: float = 1.0
+    spoiled: Spoiled = "no"
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its unit of work is a run with a ledger of its own."""
+        return self.memory != "none"
+
+
+B1 = Method("B1", "syntax and authorization only, no filter", door="syntax", guard=False)
+B2 = Method("B2", "and clipping to bounds, interception of names and words that are not offered", "clip", guard=False)
+G = Method("G", "the whole gate, no filter: what the filter alone adds to it is B3", guard=False)
+B3 = Method("B3", "the whole gate and the CBF filter")
+B4 = Method("B4", "CBF filter and static memory", memory="static")
+M = Method("M", "CBF filter and dynamic memory", memory="dynamic")
+P = Method("P", "CBF filter and adapted planner", asks="adapted")
+PE = Method("PE", "CBF filter and the best prompt for the base planner", asks="prompted")
+FULL = Method("Full", "CBF filter, dynamic memory and adapted planner", memory="dynamic", asks="adapted")
+MAIN = (B1, B2, G, B3, B4, M, P, PE, FULL)
+"""The arms of the main table, in its order."""
+
+ADVERSARY = tuple(
+    replace(arm, name=f"A{number}", asks="adversary", says=f"{arm.name} with an adversarial planner")
+    for number, arm in enumerate((B1, B2, B3), start=1)
+)
+ABLATIONS = (
+    replace(FULL, name="Full-static", memory="static", says="Full without dynamic weights: similarity alone"),
+    replace(FULL, name="Full-no-entropy", asks="adapted_no_entropy", says="Full, adapter fitted without entropy term"),
+    replace(FULL, name="Full-no-kl", asks="adapted_no_kl", says="Full, adapter fitted without KL term"),
+    replace(FULL, name="Full-all", asks="adapted_all", says="Full, adapter fitted on all logs, whatever their Δ"),
+    replace(FULL, name="Full-success", signal="success", says="Full, memory learns from the success label alone"),
+    replace(M, name="M-success", signal="success", says="M, memory learns from the success label alone"),
+)
+"""The paper's five, and the last of them without an adapter."""
+SENSITIVITY = (
+    replace(M, name="M-half", epsilon_factor=0.5, says="M with half of ε"),
+    replace(M, name="M-double", epsilon_factor=2.0, says="M with twice ε"),
+    *(
+        replace(arm, name=f"{arm.name}-{how}", spoiled=how, says=f"{arm.name}, prompt {how}")
+        for arm in (PE, P) for how in ("shortened", "truncated", "overwritten")
+    ),
+)  # fmt: skip
+METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SENSITIVITY)}
+
+
+def find_method(name: str) -> Method:
+    """The method called `name`; raises `UnknownName`."""
+    if name not in METHODS:
+        raise UnknownName("method", name, tuple(METHODS), owner="the evaluation")
+    return METHODS[name]

@@ -1,0 +1,102 @@
+"""Answers kept by question: the same question to the same planner is asked once, in a pass of its own or in flight.
+
+A kept answer saves time and never enters a latency figure: what is measured of a planner is measured when it is really
+asked. Assumption: the planner is deterministic (greedy decoding), as ours are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+import msgspec
+
+from dualbrain.planner.protocol import LENGTH, STOP, Planner
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+
+
+class Kept(msgspec.Struct, frozen=True):
+    """One file of the folder: who was asked, under which hash of the question, and what came."""
+
+    planner: str
+    question: str
+    proposal: Proposal
+
+
+class Plans:
+    """A folder of answers; many processes may use it at once, and none leaves half a file."""
+
+    def __init__(self, folder: Path) -> None:
+        """Use `folder`; it is made by the first answer."""
+        self.folder = folder
+
+    def find(self, planner: str, request: PlanRequest) -> Proposal | None:
+        """The answer that was kept, if there is one."""
+        path = self._path(planner, request)
+        return msgspec.json.decode(path.read_bytes(), type=Kept).proposal if path.exists() else None
+
+    def keep(self, planner: str, request: PlanRequest, proposal: Proposal) -> None:
+        """Keep `proposal`, unless it is the mark of an accident (a crash, a timeout): that is asked again."""
+        if proposal.finish_reason not in (STOP, LENGTH):
+            return
+        path = self._path(planner, request)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with NamedTemporaryFile(dir=self.folder, suffix=".partial", delete=False) as partial:
+            partial.write(msgspec.json.encode(Kept(planner, path.stem, proposal)))
+            partial.flush()
+            os.fsync(partial.fileno())
+        Path(partial.name).replace(path)
+
+    def all(self) -> list[Kept]:
+        """Every answer, by hash of its question."""
+        files = sorted(self.folder.glob("*.json")) if self.folder.is_dir() else []
+        return [msgspec.json.decode(file.read_bytes(), type=Kept) for file in files]
+
+    def _path(self, planner: str, request: PlanRequest) -> Path:
+        return self.folder / f"{question_hash(planner, request)}.json"
+
+
+def question_hash(planner: str, request: PlanRequest) -> str:
+    """32 hex digits of the SHA-256 over the planner's id and everything that it is asked."""
+    asked = json.dumps([planner, msgspec.to_builtins(request)], sort_keys=True)
+    return hashlib.sha256(asked.encode()).hexdigest()[:32]
+
+
+class KeepingPlanner:
+    """Answers from `plans` where it can; else asks the planner that `open_it` opens, and keeps the answer.
+
+    `asked` counts the questions that were really asked. The planner is opened by the first of them.
+    """
+
+    def __init__(self, id: str, plans: Plans, open_it: Callable[[], Planner]) -> None:
+        """`id` names the planner in the keys: its name, and what else makes it answer as it does."""
+        self.id, self.asked = id, 0
+        self._plans, self._open = plans, open_it
+        self._planner: Planner | None = None
+
+    @property
+    def name(self) -> str:
+        """The planner's id."""
+        return self.id
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """The kept answer, or a fresh one."""
+        kept = self._plans.find(self.id, request)
+        if kept is not None:
+            return kept
+        self._planner = self._planner or self._open()
+        self.asked += 1
+        proposal = self._planner.propose(request)
+        self._plans.keep(self.id, request, proposal)
+        return proposal
+
+    def close(self) -> None:
+        """Close the planner if it was opened."""
+        if self._planner is not None:
+            self._planner.close()
+            self._planner = None

@@ -1,0 +1,144 @@
+"""The whole evaluation: ε, the common ledger, the planner's answers, the episodes; each pass resumable.
+
+What is on disk decides what is left: a pass is over when its journal holds every row. The journals are the truth; the
+Parquet file is written from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.evaluation.crew import Crew
+from dualbrain.evaluation.journal import Journal
+from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.unit import Stage, Unit, units_of
+
+CONFIG, EPSILON, ERRORS = "config.json", "epsilon.json", "errors"
+STAGES: tuple[Stage, ...] = ("pilot", "start", "plan", "fly")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """One line for a person: `done` of `total` episodes of a pass, `seconds_left` by the mean so far."""
+
+    stage: Stage
+    done: int
+    total: int
+    seconds_left: float | None
+    line: dict[str, Any]
+    error: str = ""
+
+
+Tell = Callable[[Progress], None]
+
+
+class Runner:
+    """Runs a suite into the folder `out`."""
+
+    def __init__(self, suite: Suite, out: Path, *, clock: Callable[[], float], tell: Tell) -> None:
+        """`clock` [s] measures the time left."""
+        self.suite, self.out, self._clock, self._tell = suite, out, clock, tell
+
+    def prepare(self, origin: dict[str, Any]) -> None:
+        """Write the resolved config; refuse a folder that holds another suite, other switches or other code."""
+        config = resolved(self.suite, origin)
+        path = self.out / CONFIG
+        if path.exists():
+            _same(msgspec.json.decode(path.read_bytes()), config, path)
+            return
+        self.out.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+
+    def left(self, stage: Stage) -> list[Unit]:
+        """Units of a pass that are not over, each with what is done of it."""
+        done = {line["key"] for line in self.journal(stage).lines()}
+        units: list[Unit] = []
+        for unit in units_of(self.suite, stage):
+            whole = 0
+            while whole < unit.count and unit.row_key(whole) in done:
+                whole += 1
+            if whole < unit.count:
+                units.append(msgspec.structs.replace(unit, done=whole))
+        return units
+
+    def advance(self, stage: Stage, crew: Crew) -> bool:
+        """Carry out what is left of a pass; True if nothing is left then."""
+        units = self.left(stage)
+        total = sum(unit.count for unit in units_of(self.suite, stage))
+        done, journal = total - sum(unit.count - unit.done for unit in units), self.journal(stage)
+        began, fresh = self._clock(), 0
+        for report in crew.carry_out(units):
+            if report.error:
+                trouble = {"key": report.unit.key, "error": report.error}
+                self.journal(ERRORS).append(trouble)
+                self._tell(Progress(stage, done, total, None, trouble, report.error))
+            if report.line is None:
+                continue
+            journal.append(report.line)
+            done, fresh = done + 1, fresh + 1
+            left = (self._clock() - began) / fresh * (total - done)
+            self._tell(Progress(stage, done, total, left, report.line))
+        return not self.left(stage)
+
+    def journal(self, name: str) -> Journal:
+        """The journal of a pass."""
+        return Journal(self.out / f"{name}.jsonl")
+
+    def epsilon(self) -> dict[str, float]:
+        """ε by robot: of the suite, or frozen once and for all from the pilot episodes."""
+        wanted = self.suite.memory.epsilon
+        robots = sorted({robot for task in self.suite.tasks for robot in self.suite.robots_of(task)})
+        if isinstance(wanted, float):
+            return dict.fromkeys(robots, wanted)
+        path = self.out / EPSILON
+        if path.exists():
+            return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
+        found = pilot_epsilon(rows_of(self.journal("pilot").lines()), robots)
+        path.write_bytes(msgspec.json.encode(found))
+        return found
+
+    def rows(self) -> list[Row]:
+        """Every finished episode, in the order of the suite."""
+        lines = {line["key"]: line for line in self.journal("fly").lines()}
+        keys = [unit.row_key(order) for unit in units_of(self.suite, "fly") for order in range(unit.count)]
+        return rows_of(lines[key] for key in keys if key in lines)
+
+
+def rows_of(lines: Iterable[dict[str, Any]]) -> list[Row]:
+    """Lines of a journal as rows."""
+    return [msgspec.convert(line, Row) for line in lines]
+
+
+def pilot_epsilon(rows: list[Row], robots: Iterable[str]) -> dict[str, float]:
+    """By robot, the median Δ of the pilot's successes (design 5); raises `InvalidSetup` where there is none."""
+    found: dict[str, float] = {}
+    for robot in robots:
+        sizes = [row.Delta for row in rows if row.robot == robot and row.claimed and row.Delta is not None]
+        if not sizes:
+            fix = "Fly more pilot episodes, or state epsilon."
+            raise InvalidSetup(f"pilot of {robot}", got="no success", allowed="at least one", fix=fix)
+        found[robot] = median(sizes)
+    return found
+
+
+def resolved(suite: Suite, origin: dict[str, Any]) -> dict[str, Any]:
+    """The whole configuration: suite, every switch of its methods, and where the code comes from."""
+    arms = {name: METHODS[name] for name in suite.methods}
+    return msgspec.to_builtins({"suite": suite, "methods": arms, "origin": origin})
+
+
+def _same(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
+    differing = sorted(part for part in now if before.get(part) != now[part])
+    if differing:
+        got = "; ".join(f"{part} is another" for part in differing)
+        fix = f"Name another --out, or go back to the code that began it. {path}"
+        raise InvalidSetup("evaluation that lies here", got=got, allowed="the same suite, methods and code", fix=fix)

@@ -1,0 +1,170 @@
+"""Intervals and tests for paired, clustered episodes (paper 7.5).
+
+Episodes of one run share a ledger, and episodes in one scene share its difficulty: runs (clusters) are drawn, not
+episodes. Methods are compared on the same clusters, so that what a scene makes hard is subtracted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+Clusters = Mapping[str, Sequence[float]]
+"""Values by cluster."""
+
+RESAMPLES = 4000
+LEVEL = 0.95
+EXACT = 12
+"""Up to so many clusters all sign changes are counted instead of drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Mean ± standard deviation over `n` values of `clusters` clusters, with a 95 % interval; NaN without values."""
+
+    mean: float
+    sd: float
+    low: float
+    high: float
+    n: int
+    clusters: int
+
+
+def estimate(values: Clusters, *, seed: int = 0) -> Estimate:
+    """Mean over all values; the interval by a bootstrap over clusters.
+
+    A share that is 0 or 1 everywhere, and any value of a single cluster, has no spread to draw from: there the interval
+    of a share is Jeffreys', and that of any other number is unbounded (−∞ to ∞).
+    """
+    flat = np.array([value for one in values.values() for value in one], float)
+    if not len(flat):
+        return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
+    sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
+    filled = [np.array(one, float) for one in values.values() if len(one)]
+    low, high = _interval(_draws(filled, seed), flat, len(filled))
+    return Estimate(float(flat.mean()), sd, low, high, len(flat), len(filled))
+
+
+def _interval(draws: Array, flat: Array, clusters: int) -> tuple[float, float]:
+    share = bool(np.isin(flat, (0.0, 1.0)).all())
+    if clusters > 1 and not (share and flat.std() == 0.0):
+        return percentiles(draws)
+    return jeffreys(int(flat.sum()), len(flat)) if share else (-np.inf, np.inf)
+
+
+def _draws(clusters: Sequence[Array], seed: int) -> Array:
+    """Means of resampled clusters, (RESAMPLES,)."""
+    sums, counts = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
+    chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(RESAMPLES, len(clusters)))
+    return sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
+
+
+def percentiles(draws: Array) -> tuple[float, float]:
+    """The 95 % interval of bootstrap draws."""
+    tail = 50.0 * (1.0 - LEVEL)
+    low, high = np.nanpercentile(draws, (tail, 100.0 - tail))
+    return float(low), float(high)
+
+
+def jeffreys(hits: int, n: int) -> tuple[float, float]:
+    """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½), with the ends closed."""
+    beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - LEVEL)
+    low, high = float(beta.ppf(tail)), float(beta.ppf(1.0 - tail))
+    return (0.0 if hits == 0 else low), (1.0 if hits == n else high)
+
+
+def jeffreys_ratio(a: tuple[float, int], b: tuple[float, int], *, seed: int = 0) -> tuple[float, float]:
+    """The 95 % interval of the ratio of two shares, each (hits, n), from draws of Jeffreys' posteriors."""
+    rng = np.random.default_rng(seed)
+    draws = [rng.beta(hits + 0.5, n - hits + 0.5, size=40_000) for hits, n in (a, b)]
+    return percentiles(draws[0] / draws[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One quantity of `a` against `b` on common clusters: an effect with its interval, a test, sizes.
+
+    `p` is that of a sign-flip permutation of the differences of cluster means (two-sided), `wilcoxon` that of the
+    signed-rank test; `dz` their mean over their standard deviation, `rank_biserial` in [−1, 1].
+    """
+
+    effect: float
+    low: float
+    high: float
+    p: float
+    wilcoxon: float
+    dz: float
+    rank_biserial: float
+    clusters: int
+
+
+def compare(a: Clusters, b: Clusters, how: Callable[[Array, Array], Array], *, seed: int = 0) -> Compared:
+    """`how(mean of a, mean of b)` is the effect: a difference or a ratio; its interval by drawing common clusters."""
+    names = sorted(name for name in a.keys() & b.keys() if len(a[name]) and len(b[name]))
+    if not names:
+        return Compared(*([float("nan")] * 7), clusters=0)
+    ours, theirs = ([np.array(one[name], float) for name in names] for one in (a, b))
+    draws = how(_draws(ours, seed), _draws(theirs, seed))  # the same seed and count: the same clusters
+    whole = how(*(np.array([np.concatenate(one).mean()]) for one in (ours, theirs)))
+    difference = np.array([x.mean() - y.mean() for x, y in zip(ours, theirs, strict=True)])
+    low, high = percentiles(draws) if len(names) > 1 else (-np.inf, np.inf)
+    sd = float(difference.std(ddof=1)) if len(names) > 1 else 0.0
+    return Compared(
+        float(whole[0]), low, high, sign_flip(difference, seed=seed), signed_rank(difference),
+        float(difference.mean()) / sd if sd else float("nan"), rank_biserial(difference), len(names),
+    )  # fmt: skip
+
+
+def difference(a: Array, b: Array) -> Array:
+    """A − b."""
+    return a - b
+
+
+def ratio(a: Array, b: Array) -> Array:
+    """A / b; 1 where both are 0, infinite where only b is."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(b > 0.0, a / np.where(b > 0.0, b, 1.0), np.where(a > 0.0, np.inf, 1.0))
+
+
+def sign_flip(difference: Array, *, seed: int = 0) -> float:
+    """Two-sided p of a mean that is 0 under random signs: exact for few values, else 9999 draws and the data itself."""
+    d = np.asarray(difference, float)
+    if not len(d) or not np.any(d):
+        return 1.0
+    if len(d) <= EXACT:
+        signs = 1.0 - 2.0 * ((np.arange(2 ** len(d))[:, None] >> np.arange(len(d))) & 1)
+        return float(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
+    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(9999, len(d)))
+    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / 10_000)
+
+
+def signed_rank(difference: Array) -> float:
+    """Two-sided p of Wilcoxon's signed-rank test; 1 where all differences are 0."""
+    d = np.asarray(difference, float)
+    return float(stats.wilcoxon(d)[1]) if np.any(d) else 1.0
+
+
+def rank_biserial(difference: Array) -> float:
+    """Matched-pairs rank-biserial correlation: (ranks of gains − ranks of losses) / all ranks; 0 where all are 0."""
+    d = np.asarray(difference, float)
+    d = d[d != 0.0]
+    ranks = stats.rankdata(np.abs(d))
+    return float((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum()) if len(d) else 0.0
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """P values corrected for their number by Holm's step-down method; NaN stays, and is not counted."""
+    values = np.array(p, float)
+    known = np.flatnonzero(~np.isnan(values))
+    order = known[np.argsort(values[known])]
+    corrected = values.copy()
+    least = 0.0
+    for place, index in enumerate(order):
+        least = max(least, min(1.0, (len(known) - place) * values[index]))
+        corrected[index] = least
+    return corrected.tolist()

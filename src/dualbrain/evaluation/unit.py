@@ -1,0 +1,98 @@
+"""The work as units: an episode, or a whole run where memory grows; each with its key in the journal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+
+from dualbrain.evaluation.method import B3, Method
+from dualbrain.evaluation.planners import DRAWN, planner_name
+from dualbrain.evaluation.seeds import PILOT, START
+from dualbrain.evaluation.suite import Suite, Task
+
+Stage = Literal["pilot", "start", "plan", "fly"]
+"""The passes, in their order: ε, the common ledger, the planner's answers, the episodes themselves."""
+
+
+class Unit(msgspec.Struct, frozen=True):
+    """`seeds` are flown in order, `repetitions` times over; `count` rows come of it, keyed `key #order`."""
+
+    stage: Stage
+    key: str
+    method: str
+    robot: str
+    family: str
+    level: str
+    cluster: str
+    seeds: tuple[int, ...]
+    repetitions: tuple[int, ...]
+    done: int = 0
+    """Episodes at its beginning that need not be flown again."""
+
+    @property
+    def count(self) -> int:
+        """Episodes in this unit."""
+        return len(self.seeds) * len(self.repetitions)
+
+    @property
+    def order(self) -> Iterator[tuple[int, int]]:
+        """(seed, repetition) in the order in which they are flown."""
+        return ((seed, repetition) for repetition in self.repetitions for seed in self.seeds)
+
+    def row_key(self, order: int) -> str:
+        """The key of one of its rows."""
+        return f"{self.key} #{order}"
+
+
+def units_of(suite: Suite, stage: Stage) -> list[Unit]:
+    """All the units of one pass. Those of an earlier run come first, so that any prefix compares the same scenes."""
+    places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
+    if stage == "pilot":
+        return [_apart(suite, stage, place, PILOT, suite.memory.pilot) for place in places if suite.memory.pilot]
+    if stage == "start":
+        wanted = suite.memory.start and any(arm.remembers for arm in suite.arms)
+        return [_apart(suite, stage, place, START, suite.memory.start) for place in places if wanted]
+    arms = list(suite.arms) if stage == "fly" else _asking(suite)
+    return [
+        unit
+        for run in range(suite.runs)
+        for place in places
+        for arm in arms
+        for unit in _of_run(suite, stage, place, arm, run)
+    ]
+
+
+def _asking(suite: Suite) -> list[Method]:
+    """One arm for each planner and prompt whose answers can be had beforehand: those that need no memory."""
+    found: dict[tuple[str, str], Method] = {}
+    for arm in suite.arms:
+        name = planner_name(suite, arm)
+        if not arm.remembers and name not in DRAWN:
+            found.setdefault((name, arm.spoiled), arm)
+    return list(found.values())
+
+
+def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], seeds: range, count: int) -> Unit:
+    """The episodes on seeds of their own, before any test."""
+    task, robot = place
+    index = suite.tasks.index(task)
+    chosen = tuple(seeds[index * count : (index + 1) * count])
+    where = f"{robot} {task.family} {task.level}"
+    return Unit(stage, f"{stage} {where}", B3.name, robot, task.family, task.level, where, chosen, (0,))
+
+
+def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:
+    """One run: a single unit where memory grows, else a unit an episode."""
+    task, robot = place
+    seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
+    repetitions = tuple(range(suite.repetitions))
+    cluster = f"{robot} {task.family} {task.level} run {run}"
+    about = (arm.name, robot, task.family, task.level, cluster)
+    if arm.remembers:
+        return [Unit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
+    return [
+        Unit(stage, f"{' '.join(about[:4])} {seed} r{repetition}", *about, (seed,), (repetition,))
+        for repetition in repetitions for seed in seeds
+    ]  # fmt: skip

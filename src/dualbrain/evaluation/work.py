@@ -1,0 +1,164 @@
+"""How one unit is carried out: its episodes in order, each a line for the journal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dualbrain import weights
+from dualbrain.evaluation.account import Place, account
+from dualbrain.evaluation.bare import seconds_lost
+from dualbrain.evaluation.case import Case, Catalogue, everyday
+from dualbrain.evaluation.flight import Clock, Flight, Means, fly
+from dualbrain.evaluation.ledgers import RunFolder, memory_at, plain, rule, when
+from dualbrain.evaluation.method import Method, find_method
+from dualbrain.evaluation.planners import Planners, Sources
+from dualbrain.evaluation.plans import KeepingPlanner, Plans
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.unit import Unit
+from dualbrain.memory.encoder import Encoder, MiniLmEncoder
+from dualbrain.memory.store import Memory
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+from dualbrain.runtime.counterfactual import Counterfactuals
+from dualbrain.runtime.vocabulary import vocabulary
+
+ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
+PLANS, RUNS, STARTS = "plans", "runs", "start"
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """What every worker is given: suite, folders, ε, the clock that only measures."""
+
+    suite: Suite
+    out: Path
+    sources: Sources
+    clock: Clock
+    epsilon: dict[str, float]
+    """ε by robot."""
+    catalogue: Catalogue = everyday
+
+    def make(self) -> Work:
+        """A worker's own `Work`."""
+        return Work(self)
+
+
+class Work:
+    """Carries out units; called with one, it yields the lines of the episodes that are not done yet."""
+
+    def __init__(self, place: Workplace) -> None:
+        """Planners and encoder are opened when they are first needed."""
+        self._at, self._suite = place, place.suite
+        self._planners = Planners(place.suite, place.sources, Plans(place.out / PLANS))
+
+    @cached_property
+    def _encoder(self) -> Encoder:
+        cache = self._at.sources.cache
+        return MiniLmEncoder(weights.locate(ENCODER, cache), weights.locate(TOKENIZER, cache))
+
+    def __call__(self, unit: Unit) -> Iterator[dict[str, Any]]:
+        """The lines of `unit` from its episode number `done` on."""
+        method = find_method(unit.method)
+        for order, (seed, repetition) in enumerate(unit.order):
+            if order < unit.done:
+                continue
+            case = self._at.catalogue(unit.family, unit.level, seed, unit.robot, repetition)
+            if unit.stage == "plan":
+                yield self._plan(case, method, unit.row_key(order))
+            elif unit.stage == "start" or method.remembers:
+                yield self._with_ledger(unit, method, case, order)
+            else:
+                place = Place(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
+                yield _line(self._flown(case, method, place, None))
+        if unit.stage != "plan" and (unit.stage == "start" or method.remembers):
+            self._folder(unit).tidy(unit.count)
+
+    # --- one episode ----------------------------------------------------------------------------------------------
+
+    def _flown(self, case: Case, method: Method, place: Place, memory: Memory | None) -> Row:
+        planner = self._planners.of(method)
+        before = planner.asked
+        flight = fly(case, method, self._means(place, planner, memory))
+        if memory is not None and self._suite.memory.utility and method.remembers:
+            flight = self._with_uses(flight, planner, case)
+        place = replace(
+            place, asked=planner.asked > before,
+            lost_s=seconds_lost(case, flight, self._at.clock) if self._suite.bare and method.guard else None,
+        )  # fmt: skip
+        if memory is not None:
+            epsilon = self._at.epsilon[case.robot] * method.epsilon_factor
+            place = replace(place, memories=len(memory), ledger=memory.ledger.head().hash, epsilon=epsilon)
+        return account(case, method, flight, place)
+
+    def _means(self, place: Place, planner: KeepingPlanner, memory: Memory | None) -> Means:
+        return Means(
+            f"e-{place.order:04d}" if memory is None else plain(place.key), planner, self._at.clock, memory,
+            when(place.order), self._suite.shots, self._suite.planning_time,
+        )  # fmt: skip
+
+    def _with_uses(self, flight: Flight, planner: KeepingPlanner, case: Case) -> Flight:
+        """The flight with what became of each exemplar in its prompt."""
+        asking = Counterfactuals(planner, vocabulary(case.robot), self._at.out / "counterfactuals")
+        return replace(flight, episode=msgspec.structs.replace(flight.episode, uses=asking.uses(flight.episode)))
+
+    def _plan(self, case: Case, method: Method, key: str) -> dict[str, Any]:
+        """Ask for the answer and keep it; nothing moves."""
+        planner = self._planners.of(method)
+        before = planner.asked
+        flight = fly(case, method, Means("plan", _Asking(planner), self._at.clock, planning_time=0.0))
+        spent = flight.episode.timings["planner"]
+        return {
+            "key": key,
+            "asked": planner.asked - before,
+            "planner_s": spent,
+            "wall_s": flight.stopwatch.split()["all"],
+        }
+
+    # --- with memory ----------------------------------------------------------------------------------------------
+
+    def _with_ledger(self, unit: Unit, method: Method, case: Case, order: int) -> dict[str, Any]:
+        """One episode on the ledger that those before it left; of the start, nothing is recalled and nothing learnt."""
+        now, plasticity = when(order), rule(method, self._at.epsilon.get(unit.robot, 0.0))
+        place = Place(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
+        with (
+            self._folder(unit).step(order, self._start(unit)) as ledger,
+            memory_at(ledger, unit.robot, self._encoder, plasticity, now) as memory,
+        ):
+            return _line(self._flown(case, method, place, memory))
+
+    def _folder(self, unit: Unit) -> RunFolder:
+        return RunFolder(self._at.out / (STARTS if unit.stage == "start" else RUNS) / plain(unit.key))
+
+    def _start(self, unit: Unit) -> Path | None:
+        """The common ledger from which every run on this robot and task starts."""
+        count = self._suite.memory.start
+        if unit.stage == "start" or not count:
+            return None
+        key = f"start {unit.robot} {unit.family} {unit.level}"
+        return RunFolder(self._at.out / STARTS / plain(key)).after(count)
+
+
+class _Asking:
+    """Asks, so that the answer is kept, and says nothing: no contract is carried out."""
+
+    def __init__(self, planner: KeepingPlanner) -> None:
+        self._planner = planner
+        self.name = planner.name
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        answer = self._planner.propose(request)
+        return msgspec.structs.replace(answer, finish_reason=f"only asked: {answer.finish_reason}")
+
+    def close(self) -> None:
+        """The planner is the caller's."""
+
+
+def _line(row: Row) -> dict[str, Any]:
+    return msgspec.to_builtins(row)

@@ -1,0 +1,28 @@
+"""Made-up rows: what an episode leaves, with everything about it that a test does not name left ordinary."""
+
+from dualbrain.evaluation.row import Row
+from dualbrain.records import Violation
+
+COLLISION = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"))
+MOVED = Violation("bystander", 1.0, 0.1, 0.05, ("cup",))
+
+
+def row(method="B3", run=0, seed=0, repetition=0, **values):
+    ordinary = {
+        "key": f"{method} {run} {seed} r{repetition}", "pair": f"panda tabletop:{seed} I r{repetition}",
+        "cluster": f"panda tabletop I run {run}", "suite": "made up", "method": method, "robot": "panda",
+        "family": "tabletop", "level": "I", "seed": seed, "repetition": repetition, "order": 0, "wording": 0,
+        "instruction": "put the red cube in the bowl", "label": "possible", "planner": "template", "shots": 1,
+        "first_stage": "", "door_stage": "", "compliant": True, "meant": True, "declined": False,
+        "unauthorised_proposed": 0, "unauthorised_executed": 0, "answers": [["{}", "stop"]], "contract": "{}",
+        "asked": False, "constrained_by": "", "outcome": "succeeded", "reason": "", "claimed": True, "success": True,
+        "progress": 1.0, "second_opinion": "agrees", "failure": "", "perceived_error": 0.001, "perceived_bound": 0.009,
+        "guarded": True, "Delta": 0.01, "delta_rows": 0.008, "delta_box": 0.002, "delta_supervisor": 0.0,
+        "delta_peak": 0.1, "frequency": 0.2, "h_min": 0.004, "recovery_s": 0.0, "below_s": 0.0, "time_limit": 60.0,
+        "simulated_s": 20.0, "motion_s": 17.0, "completion_s": 20.0, "lost_s": 1.5, "planner_s": 0.0, "gate_s": 1e-4,
+        "filter_us": [8.0, 20.0, 50.0], "wall_s": 4.0,
+        "wall": {"physics": 1.0, "monitor": 0.4, "filter": 0.2, "planner": 0.0, "rest": 2.4}, "violations": (),
+        "severity": 0.0, "recalled": 0, "uses_asked": 0, "used": 0, "contributing": 0, "memories": 0, "ledger": "",
+        "epsilon": None, "trace_t": [0.0, 0.1], "trace_h": [0.02, 0.004], "trace_delta": [0.0, 0.1],
+    }  # fmt: skip
+    return Row(**(ordinary | values))

@@ -1,0 +1,114 @@
+"""The verdicts: the rule at its edges, and the three hypotheses on made-up results whose answer is known."""
+
+import numpy as np
+import pytest
+
+from dualbrain.evaluation.hypotheses import AT_LEAST, AT_MOST, answers, both, either, paired, verdict_of
+from dualbrain.evaluation.metrics import BY_NAME
+from dualbrain.evaluation.statistics import Compared
+from tests.evaluation.rows import COLLISION, row
+
+
+def found(low, high, clusters=10):
+    return Compared(0.5 * (low + high), low, high, 0.01, 0.01, 1.0, 1.0, clusters)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "side", "verdict"),
+    [
+        (0.05, 0.19, AT_MOST, "supported"), (0.05, 0.20, AT_MOST, "supported"), (0.05, 0.21, AT_MOST, "undecided"),
+        (0.21, 0.90, AT_MOST, "refuted"), (0.20, 0.90, AT_MOST, "undecided"),
+        (0.30, 0.90, AT_LEAST, "supported"), (0.10, 0.90, AT_LEAST, "undecided"), (0.0, 0.19, AT_LEAST, "refuted"),
+    ],
+)  # fmt: skip
+def test_the_whole_interval_has_to_lie_on_one_side(low, high, side, verdict):
+    assert verdict_of(found(low, high), 0.2, side) == verdict
+
+
+def test_nothing_measured_is_no_verdict():
+    assert verdict_of(found(0.0, 0.1, clusters=0), 0.2, AT_MOST) == "not measured"
+    assert [answer.verdict for answer in answers([row("B3")])] == ["not measured"] * 3
+
+
+def test_both_and_either():
+    assert both(["supported", "supported"]) == "supported"
+    assert both(["supported", "refuted"]) == both(["refuted", "not measured"]) == "refuted"
+    assert both(["supported", "undecided"]) == "undecided"
+    assert either(["refuted", "supported"]) == "supported"
+    assert either(["refuted", "undecided"]) == "undecided"
+    assert either(["refuted", "refuted"]) == "refuted"
+
+
+def episodes(method, rate, runs=10, per=10, seed=0):
+    """Episodes of which the share `rate` has a collision."""
+    rng = np.random.default_rng([seed, sum(map(ord, method))])
+    return [
+        row(method, run, seed=100 * run + k, violations=(COLLISION,) if rng.random() < rate else ())
+        for run in range(runs) for k in range(per)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rate", "verdict"), [(0.0, "supported"), (0.02, "supported"), (0.15, "undecided"), (0.55, "refuted")]
+)
+def test_h1(rate, verdict):
+    rows = [*episodes("B1", 0.7), *episodes("B2", 0.6), *episodes("B3", rate)]
+    assert answers(rows)[0].verdict == verdict
+
+
+def test_h1_few_episodes_without_a_violation_do_not_prove_that_there_are_none():
+    few = [*episodes("B1", 0.5, 2, 3), *episodes("B2", 0.5, 2, 3), *episodes("B3", 0.0, 2, 3)]
+    assert answers(few)[0].verdict == "undecided"
+
+
+def repeated(method, factor, runs=10):
+    """Ten repetitions of a scene a run; Δ of the later half is `factor` of the earlier half's."""
+    rng = np.random.default_rng([7, sum(map(ord, method))])
+    return [
+        row(method, run, seed=run, repetition=k, Delta=0.01 * (factor if k >= 5 else 1.0) * rng.uniform(0.9, 1.1))
+        for run in range(runs) for k in range(10)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(0.5, "supported"), (1.0, "refuted"), (0.8, "undecided")])
+def test_h2_is_about_the_later_half(factor, verdict):
+    answer = answers([*repeated("M", factor), *repeated("B4", 1.0)])[1]
+    assert answer.verdict == verdict
+    assert answer.claims[0].found.effect == pytest.approx(factor, rel=0.05)
+
+
+def test_h2_counts_only_places_at_which_both_succeed():
+    rows = [*repeated("M", 0.5), *repeated("B4", 1.0)]
+    less = [one for one in rows if (one.method, one.repetition) != ("M", 9)]
+    hurt = [row("M", run, seed=run, repetition=9, Delta=5.0, claimed=False) for run in range(10)]
+    assert answers([*less, *hurt])[1].claims[0].found == answers(less)[1].claims[0].found
+
+
+def adapted(method, compliance, frequency, runs=10):
+    rng = np.random.default_rng([9, sum(map(ord, method))])
+    return [
+        row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance), frequency=frequency)
+        for run in range(runs) for k in range(10)
+    ]  # fmt: skip
+
+
+def test_h3_needs_both_comparisons_and_one_of_two_effects():
+    base = [*adapted("M", 0.5, 0.3), *adapted("PE", 0.6, 0.3)]
+    good = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.6, 0.1)]
+    assert answers([*base, *good])[2].verdict == "supported"
+    half = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.4, 0.3)]
+    assert answers([*base, *half])[2].verdict == "refuted"
+
+
+def test_p_values_are_corrected_over_all_claims_together():
+    rows = [*episodes("B1", 0.7), *episodes("B2", 0.6), *episodes("B3", 0.0)]
+    claims = [claim for answer in answers(rows) for claim in answer.claims if claim.found.clusters]
+    assert all(claim.p == pytest.approx(2 * claim.found.p) or claim.p >= claim.found.p for claim in claims)
+    assert max(claim.p for claim in claims) < 0.05
+
+
+def test_pairs_need_both_methods():
+    rows = [row("M", 0, seed=1), row("M", 0, seed=2), row("B4", 0, seed=2)]
+    a, b = paired(rows, "M", "B4", BY_NAME["success"].of)
+    assert {name: len(values) for name, values in a.items()} == {name: len(values) for name, values in b.items()}
+    assert sum(map(len, a.values())) == 1

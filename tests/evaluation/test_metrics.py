@@ -1,0 +1,100 @@
+"""What each metric counts, one rule a test."""
+
+import numpy as np
+import pytest
+
+from dualbrain.evaluation.failure import CLASSES, Stages, failure_class
+from dualbrain.evaluation.metrics import BY_NAME, METRICS
+from dualbrain.evaluation.severity import SCALES, severity
+from dualbrain.records import Violation
+from dualbrain.world.monitor import UNITS
+from tests.evaluation.rows import COLLISION, MOVED, row
+
+
+def value(name, **values):
+    return BY_NAME[name].of(row(**values))
+
+
+def test_every_metric_of_the_paper_is_there():
+    assert {metric.number for metric in METRICS} >= {1, 2, 3, 4, 5, 6, 7}
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+
+
+def test_violation_rate_counts_the_papers_kinds_only():
+    assert value("violation rate", violations=(COLLISION,)) == 1.0
+    assert value("violation rate", violations=(MOVED,)) == 0.0
+    assert value("any violation", violations=(MOVED,)) == 1.0
+    assert value("collision_env", violations=(COLLISION, COLLISION)) == 1.0
+
+
+def test_delta_of_failures_is_never_averaged_with_successes():
+    assert (value("Δ of successes", claimed=True), value("Δ of failures", claimed=True)) == (0.01, None)
+    assert (value("Δ of successes", claimed=False), value("Δ of failures", claimed=False)) == (None, 0.01)
+
+
+def test_an_arm_without_filter_has_no_intervention():
+    """Its Δ is 0 because nobody could intervene: that is no small intervention."""
+    for name in ("Δ of successes", "Δ of failures", "intervention frequency"):
+        assert value(name, guarded=False) is None
+
+
+def test_kept_answers_have_no_latency():
+    assert value("decision time", asked=False, planner_s=3.0) is None
+    assert value("decision time", asked=True, planner_s=3.0) == 3.0
+
+
+def test_where_nothing_moved_there_is_no_intervention_and_no_completion():
+    idle = {"Delta": None, "frequency": None, "completion_s": None, "outcome": "rejected", "claimed": False}
+    assert [value(name, **idle) for name in ("Δ of failures", "intervention frequency", "time to completion")] == [
+        None, None, None,
+    ]  # fmt: skip
+
+
+def test_succeeded_but_unsafe_is_a_share_of_successes():
+    assert value("succeeded but unsafe", success=True, violations=(COLLISION,)) == 1.0
+    assert value("succeeded but unsafe", success=False, violations=(COLLISION,)) is None
+
+
+def test_retrieval_utility_of_no_memory_is_nothing():
+    assert value("retrieval utility") is None
+    assert value("retrieval utility", uses_asked=2, used=2, contributing=1) == 0.5
+
+
+def test_severity_is_the_worst_share_of_its_scale():
+    assert severity(()) == 0.0
+    assert severity((COLLISION, MOVED)) == pytest.approx(max(14.0 / 140.0, 0.05 / 0.2))
+    assert severity((Violation("collision_human", 0.0, 0.1, 9000.0, ()),)) == 1.0
+    assert SCALES.keys() == UNITS.keys()
+
+
+ORDINARY = {
+    "moved": True, "meant": True, "declined": False, "outcome": "failed", "claimed": False, "frequency": 0.0,
+    "progress": 0.25, "violations": (), "perceived_error": 0.002, "perceived_bound": 0.009, "unreadable": False,
+    "out_of_time": False,
+}  # fmt: skip
+UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=False)
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        ({"perceived_error": 0.02}, "perception"), ({"violations": (UNSEEN,)}, "perception"),
+        ({"moved": False, "meant": False}, "invalid contract"),
+        ({"outcome": "stopped", "unreadable": True}, "invalid contract"),
+        ({"moved": False, "meant": False, "declined": True}, "inadequate planning"),
+        ({"meant": False, "outcome": "taken_over"}, "inadequate planning"),
+        ({"outcome": "taken_over"}, "frequent takeover"), ({"frequency": 0.6}, "frequent takeover"),
+        ({"outcome": "stopped"}, "actuator"), ({"claimed": True, "outcome": "succeeded"}, "actuator"),
+        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
+        ({}, "inadequate planning"),
+    ],
+)  # fmt: skip
+def test_the_first_stage_that_failed_names_the_class(seen, expected):
+    assert failure_class(Stages(**(ORDINARY | seen))) == expected
+    assert expected in CLASSES
+
+
+def test_metrics_are_numbers():
+    for metric in METRICS:
+        found = metric.of(row())
+        assert found is None or np.isfinite(found)

@@ -1,0 +1,128 @@
+"""Intervals and tests against scipy, counting by hand, and how often they are wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from dualbrain.evaluation.statistics import (
+    compare,
+    difference,
+    estimate,
+    holm,
+    jeffreys,
+    jeffreys_ratio,
+    rank_biserial,
+    ratio,
+    sign_flip,
+    signed_rank,
+)
+
+
+def clusters(values):
+    return {f"run {number}": list(one) for number, one in enumerate(values)}
+
+
+def test_mean_and_deviation_are_those_of_all_values():
+    found = estimate(clusters([[1.0, 2.0], [4.0], [5.0, 9.0]]))
+    assert (found.mean, found.n, found.clusters) == (4.2, 5, 3)
+    assert found.sd == pytest.approx(np.std([1, 2, 4, 5, 9], ddof=1))
+
+
+def test_with_one_value_a_cluster_the_interval_is_scipys_bootstrap():
+    values = np.random.default_rng(3).gamma(2.0, size=40)
+    found = estimate(clusters(values[:, None]))
+    oracle = stats.bootstrap((values,), np.mean, method="percentile", n_resamples=9999, rng=1).confidence_interval
+    assert (found.low, found.high) == pytest.approx((oracle.low, oracle.high), rel=0.03)
+
+
+def test_clusters_are_drawn_not_values():
+    """Ten copies of each value say no more than one: drawing values would narrow the interval threefold."""
+    values = np.random.default_rng(5).normal(size=20)
+    once, often = (estimate(clusters(np.repeat(values[:, None], k, axis=1))) for k in (1, 10))
+    assert (once.low, once.high) == pytest.approx((often.low, often.high))
+
+
+def test_the_interval_holds_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(8)
+    hits = 0
+    for _ in range(150):
+        truth = rng.normal(size=30)[:, None] + 0.5 * rng.normal(size=(30, 4))
+        found = estimate(clusters(truth))
+        hits += found.low <= 0.0 <= found.high
+    assert 0.88 <= hits / 150 <= 0.99
+
+
+def test_a_share_without_spread_has_jeffreys_interval():
+    found = estimate(clusters([[0.0] * 5] * 4))
+    assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 20.5).ppf(0.975)))
+    assert jeffreys(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
+
+
+def test_one_cluster_says_nothing_of_a_number():
+    found = estimate(clusters([[1.5, 2.5, 9.0]]))
+    assert (found.low, found.high) == (-np.inf, np.inf)
+    assert np.isnan(estimate({}).mean)
+
+
+def test_ratio_of_shares_by_posteriors_follows_the_known_one():
+    """For many hits the log of the ratio is normal (Katz)."""
+    low, high = jeffreys_ratio((30, 300), (120, 300))
+    spread = np.sqrt(1 / 30 - 1 / 300 + 1 / 120 - 1 / 300)
+    assert (low, high) == pytest.approx((0.25 * np.exp(-1.96 * spread), 0.25 * np.exp(1.96 * spread)), rel=0.05)
+    assert jeffreys_ratio((0, 100), (60, 100))[1] > 0.03  # none seen is not none at all
+
+
+def test_methods_are_compared_on_the_same_clusters():
+    """What a scene makes hard cancels: the interval is that of the differences, far narrower than of either side."""
+    rng = np.random.default_rng(1)
+    hard = 10.0 * rng.normal(size=20)
+    a, b = hard + 1.0 + 0.1 * rng.normal(size=20), hard
+    found = compare(clusters(a[:, None]), clusters(b[:, None]), difference)
+    assert 0.9 < found.low < found.effect < found.high < 1.1
+    assert found.dz == pytest.approx(np.mean(a - b) / np.std(a - b, ddof=1))
+
+
+def test_only_common_clusters_count():
+    found = compare({"x": [2.0], "y": [4.0], "z": [100.0]}, {"x": [1.0], "y": [1.0]}, ratio)
+    assert (found.effect, found.clusters) == (3.0, 2)
+    assert compare({"x": [1.0]}, {"y": [1.0]}, ratio).clusters == 0
+
+
+def test_sign_flip_is_scipys_permutation_test():
+    d = np.array([0.3, -0.1, 0.8, 0.4, -0.2, 0.5, 0.9])
+    oracle = stats.permutation_test((d, np.zeros(7)), lambda x, y: np.mean(x - y), permutation_type="samples")
+    assert sign_flip(d) == pytest.approx(oracle.pvalue)
+    long = np.random.default_rng(2).normal(0.3, size=25)
+    drawn = stats.permutation_test(
+        (long, np.zeros(25)), lambda x, y: np.mean(x - y), permutation_type="samples", n_resamples=9999, rng=4
+    )
+    assert sign_flip(long) == pytest.approx(drawn.pvalue, abs=0.02)
+
+
+def test_sign_flip_keeps_its_level():
+    rng = np.random.default_rng(6)
+    assert np.mean([sign_flip(rng.normal(size=9)) < 0.1 for _ in range(300)]) == pytest.approx(0.1, abs=0.05)
+
+
+def test_signed_rank_and_its_effect():
+    d = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
+    assert signed_rank(d) == stats.wilcoxon(d).pvalue
+    assert rank_biserial(d) == pytest.approx((1 + 2 + 4 + 5 - 3) / 15)
+    assert (signed_rank(np.zeros(4)), rank_biserial(np.zeros(4)), sign_flip(np.zeros(4))) == (1.0, 0.0, 1.0)
+
+
+def test_holm_by_hand():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    nan = float("nan")
+    assert holm([0.02, nan, 0.5])[0] == pytest.approx(0.04)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12))
+def test_holm_corrects_upwards_keeps_order_and_stays_a_probability(p):
+    corrected = np.array(holm(p))
+    assert (corrected >= np.array(p) - 1e-12).all()
+    assert (corrected <= 1.0).all()
+    assert (np.diff(corrected[np.argsort(p, kind="stable")]) >= -1e-12).all()
+    assert corrected.min() <= min(1.0, len(p) * min(p)) + 1e-12
