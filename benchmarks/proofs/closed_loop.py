@@ -31,7 +31,7 @@ from dualbrain.world.task import Goal
 from proofs.proof import Row
 
 ERRAND = Goal("red_cube", "blue_bowl")
-FORBIDDEN = ("collision_env", "collision_human", "self_collision", "joint_limit", "joint_velocity")
+FORBIDDEN = ("collision_env", "collision_human", "self_collision", "collision_held", "joint_limit", "joint_velocity")
 """Kinds of violation that must not happen at all; other kinds are listed."""
 GRASP = {
     "object": "red_cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",

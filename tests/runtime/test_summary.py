@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.records import Pose
+from dualbrain.embodiment.body import load_body
+from dualbrain.records import Place, Pose
 from dualbrain.runtime.desk import as_specified
 from dualbrain.runtime.summary import summarise
 from dualbrain.world.catalogue import open_scene
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import EXACT, Perception
 from dualbrain.world.scenes import ALL_FAMILIES
 
 from .scenes import bowl, box, forearm, rotated, scene
@@ -123,3 +126,22 @@ def test_an_empty_scene_has_a_summary():
 def test_a_scene_with_two_things_on_one_spot_has_a_summary():
     twin = msgspec.structs.replace(CUBE, name="twin", pose=Pose(CUBE.pose.position))
     assert line(summarise(scene(CUBE, twin, bowl())), "twin")
+
+
+def test_without_a_container_the_way_leads_to_the_only_place():
+    tall = box("wall", 0.5, 0.03, (0.02, 0.02, 0.12))
+    coaster, other = Place("coaster", (0.5, 0.26, 0.0)), Place("shelf", (0.3, -0.3, 0.0))
+    one = msgspec.structs.replace(scene(CUBE, tall), places=(coaster,))
+    assert "path_max_height tall" in line(summarise(one), "red_cube")
+    assert "path" not in summarise(msgspec.structs.replace(one, places=(coaster, other)))
+
+
+def test_an_aisle_that_somebody_is_in_is_named():
+    rooms = [open_scene(f"aisles:{seed}", "base") for seed in range(0, 12, 3)]
+    for spec in rooms:
+        plant = open_plant(spec, load_body("base"))
+        text = summarise(Perception(spec, EXACT, np.random.default_rng(0)).look(plant))
+        side = "left" if spec.mover.start[1] > 0.0 else "right"
+        assert f"person: near, in aisle_{side}" in text
+    crossing = as_specified(open_scene("crossing:1", "base"))
+    assert "aisle" not in summarise(crossing)

@@ -217,4 +217,4 @@ def test_every_phase_has_a_table_and_every_kind_a_unit():
     monitor = Monitor(p)
     for phase in PHASES:
         monitor.allow(target="grey_block", held="grey_block", destination="table", phase=phase)
-    assert set(UNITS.values()) <= {"N", "rad", "rad/s", "m/s", "m"}
+    assert set(UNITS.values()) <= {"N", "rad", "rad/s", "m/s", "m/s^2", "m", "1"}

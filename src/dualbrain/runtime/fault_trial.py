@@ -29,7 +29,7 @@ GRASP = {
     "approach": "top", "wait": "none", "force": 20.0,
 }  # fmt: skip
 PLACE = {"destination": "blue_bowl", "speed": 0.35, "clearance": 0.15, "route": "direct", "wait": "none"}
-UNSAFE = ("collision_env", "collision_human", "self_collision", "joint_limit", "joint_velocity")
+UNSAFE = ("collision_env", "collision_human", "self_collision", "collision_held", "joint_limit", "joint_velocity")
 """Kinds of violation that a fault must not lead to; others (a load that was let go) are listed."""
 AT_REST = 0.02
 """An arm whose joints are slower than this [rad/s] is touched; it does not touch."""

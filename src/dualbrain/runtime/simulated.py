@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Judgement, Scene
+from dualbrain.runtime.vocabulary import PLANNER
 from dualbrain.world.arrival import Arrival, At
+from dualbrain.world.handling import unharmed
 from dualbrain.world.monitor import Monitor
 from dualbrain.world.perception import Perception
 from dualbrain.world.plant import Plant
@@ -14,6 +16,9 @@ from dualbrain.world.task import Goal, Referee
 
 WATCH_EVERY = 50
 """Ticks between two glances of the referee."""
+
+BROKEN = 0.99
+"""Progress of an errand whose thing arrived, but was not handled gently."""
 
 ALLOWANCES = {
     "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release",
@@ -33,10 +38,18 @@ class SimulatedWorld:
         *,
         goal: Goal | At | None = None,
         pace: Callable[[float], None] | None = None,
+        permitted: frozenset[str] | None = None,
     ) -> None:
-        """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people."""
+        """Bind the parts; without a `goal` the contract's own is judged. `pace(now)` may delay each tick for people.
+
+        The monitor counts every skill begun that is not `permitted`, whatever the gate thought of it.
+        """
         self.plant, self.perception = plant, perception
         self.monitor = Monitor(plant)
+        self._permitted, self._gently = permitted, ""
+        if isinstance(goal, Goal) and goal.gently:
+            self._gently = goal.thing
+            self.monitor.handle(goal.thing)
         self._referee = referee(plant, goal) if goal else None
         self._pace = pace
         self._ticks = 0
@@ -60,6 +73,9 @@ class SimulatedWorld:
 
     def begin(self, contract: Contract) -> None:
         """A contract was accepted: judge its own goal unless one was stated beforehand."""
+        for action in contract.action_sequence:
+            if self._permitted is not None and action.skill not in self._permitted:
+                self.monitor.called(action.skill, PLANNER)
         goal = own_goal(contract)
         if self._referee is None and goal is not None:
             self._referee = referee(self.plant, goal)
@@ -76,7 +92,10 @@ class SimulatedWorld:
     def judgement(self) -> Judgement:
         """Success, progress and violations on truth; without any goal nothing can have succeeded."""
         success, progress = self._referee.judge() if self._referee else (False, 0.0)
-        return Judgement(success, progress, self.monitor.violations())
+        violations = self.monitor.violations()
+        if success and self._gently and not unharmed(self._gently, violations):
+            success, progress = False, BROKEN
+        return Judgement(success, progress, violations)
 
 
 def referee(plant: Plant, goal: Goal | At) -> Referee | Arrival:

@@ -25,6 +25,8 @@ BESIDE = 0.12
 """Gaps wider than this [m] are no neighbours."""
 PATH_WIDTH = 0.10
 """Things within this distance of the straight path count as standing on it [m]."""
+AISLE, IN_AISLE = "aisle_", 1.2
+"""How places in aisles are called, and how near to one somebody is in that aisle [m]."""
 OVERHEAD = 0.25
 """Fixed things whose lowest point is higher than this hang over the path [m]."""
 
@@ -46,7 +48,20 @@ def _room(scene: Scene) -> str:
     """A room as a base is told of it: where it can go, what stands about, and people."""
     standing = ", ".join(thing.name for thing in scene.objects if thing.role in ("object", "obstacle", "container"))
     places = ", ".join(place.name for place in scene.places)
-    return f"robot {scene.robot}\nplaces: {places}\nstanding about: {standing or 'nothing'}\nperson: {_person(scene)}"
+    person = f"person: {_person(scene)}{_occupied(scene)}"
+    return f"robot {scene.robot}\nplaces: {places}\nstanding about: {standing or 'nothing'}\n{person}"
+
+
+def _occupied(scene: Scene) -> str:
+    """Which aisles somebody is in; nothing in a room without aisles."""
+    people = [np.asarray(thing.pose.position)[:2] for thing in scene.objects if thing.role == "person"]
+    aisles = [place for place in scene.places if place.name.startswith(AISLE)]
+    taken = [
+        place.name
+        for place in aisles
+        if any(np.linalg.norm(at - np.asarray(place.position)[:2]) < IN_AISLE for at in people)
+    ]
+    return f", in {', '.join(taken)}" if taken else ""
 
 
 def _object_line(scene: Scene, thing: SceneObject) -> str:
@@ -58,7 +73,7 @@ def _object_line(scene: Scene, thing: SceneObject) -> str:
     words += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}" for axis, found in beside.items() if found]
     words += ["near_edge"] if _near_edge(thing) else []
     words += ["fragile"] if thing.fragile_limit is not None else []
-    words += [_path(scene, thing, container) for container in scene.objects if container.role == "container"]
+    words += [_path(scene, thing, end) for end in _ends(scene)]
     return f"{thing.name}: " + ", ".join(words)
 
 
@@ -101,10 +116,17 @@ def _beside(scene: Scene, thing: SceneObject, axis: str) -> list[Neighbour]:
     return found
 
 
-def _path(scene: Scene, thing: SceneObject, container: SceneObject) -> str:
-    """The way from `thing` to `container`: how high things stand on it, and whether something hangs over it."""
-    start, end = (np.asarray(one.pose.position)[:2] for one in (thing, container))
-    on_path = [other for other in _standing(scene, thing.name, container.name) if _off(start, end, other) < PATH_WIDTH]
+def _ends(scene: Scene) -> list[tuple[str, Array]]:
+    """Where ways lead to, by name: every container; in a scene without one its place, if it has but one."""
+    containers = [(thing.name, np.asarray(thing.pose.position)) for thing in scene.objects if thing.role == "container"]
+    places = [(place.name, np.asarray(place.position)) for place in scene.places]
+    return containers or (places if len(places) == 1 else [])
+
+
+def _path(scene: Scene, thing: SceneObject, to: tuple[str, Array]) -> str:
+    """The way from `thing` to an end: how high things stand on it, and whether something hangs over it."""
+    start, end = np.asarray(thing.pose.position)[:2], to[1][:2]
+    on_path = [other for other in _standing(scene, thing.name, to[0]) if _off(start, end, other) < PATH_WIDTH]
     height = max((_height_class(top(other)) for other in on_path), default=0)
     overhead = any(_off(start, end, other) < PATH_WIDTH for other in _hanging(scene))
     return f"path_max_height {HEIGHTS[height]}" + (", overhead over_path" if overhead else "")

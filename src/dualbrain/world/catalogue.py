@@ -12,6 +12,8 @@ from dualbrain.world.scenes import ALL_FAMILIES, make_scene
 
 HAZARDS = ("forearm", "tabletop", "tall", "shelf")
 """Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
+ROOM_HAZARDS = ("empty_room", "boxes", "crossing")
+"""The same for a base, N mod 3."""
 
 
 def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
@@ -20,7 +22,7 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
     Raises `UnknownName`, or `InvalidSetup` where a file is no scene or one of another robot.
     """
     families = tuple(ROOMS if mobile(robot) else ALL_FAMILIES)
-    hazards = tuple(ROOMS) if mobile(robot) else HAZARDS
+    hazards = ROOM_HAZARDS if mobile(robot) else HAZARDS
     if choice.isdecimal():
         return _make(hazards[int(choice) % len(hazards)], int(choice), robot)
     family, _, seed = choice.partition(":")

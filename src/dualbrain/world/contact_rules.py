@@ -1,7 +1,7 @@
 """Which contacts are allowed in which phase of a skill: a table over pairs of geoms, rebuilt when the phase changes.
 
-Verdict of a pair: 0 no business of the monitor, 1 robot or held thing against the environment, 2 against a person, 3
-robot against itself.
+Verdict of a pair: 0 no business of the monitor, 1 robot against the environment, 2 robot or held thing against a
+person, 3 robot against itself, 4 held thing against the environment or against the arm that holds it.
 """
 
 # MuJoCo ships no type stubs:
@@ -19,7 +19,7 @@ from dualbrain.errors import UnknownName
 from dualbrain.world.scene_builder import PREFIX
 from dualbrain.world.scene_spec import SceneSpec
 
-QUIET, ENVIRONMENT, HUMAN, SELF = 0, 1, 2, 3
+QUIET, ENVIRONMENT, HUMAN, SELF, HELD = 0, 1, 2, 3, 4
 
 PHASES: dict[str, str] = {
     "free": "nothing may touch",
@@ -69,11 +69,12 @@ class ContactRules:
         target, held = self._mask(allowance.target), self._mask(allowance.held)
         ours = robot | held
         verdict = np.zeros((len(robot), len(robot)), np.uint8)
-        _put(verdict, ours, ~ours & ~person, ENVIRONMENT)
+        _put(verdict, robot, ~ours & ~person, ENVIRONMENT)
+        _put(verdict, held, ~ours & ~person, HELD)
         _put(verdict, ours, person, HUMAN)
         _put(verdict, robot, robot, SELF)
         _put(verdict, self.fingers, self.fingers, QUIET)
-        _put(verdict, robot & ~self.fingers, held, ENVIRONMENT)
+        _put(verdict, robot & ~self.fingers, held, HELD)
         _put(verdict, self.fingers, held, QUIET)
         if allowance.phase in ("grasp", "release", "retreat"):
             _put(verdict, self.fingers, target, QUIET)

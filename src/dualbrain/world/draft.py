@@ -46,6 +46,7 @@ class Draft:
     seed: int
     things: list[Thing] = field(default_factory=list)
     mover: Mover | None = None
+    places: tuple[Place, ...] = PLACES
 
     # --- what the errand needs ----------------------------------------------------------------------------------
 
@@ -122,7 +123,7 @@ class Draft:
             for thing in self.things
         )
         return apart and all(
-            np.hypot(x - place.position[0], y - place.position[1]) > radius + PLACE_CLEARANCE for place in PLACES
+            np.hypot(x - place.position[0], y - place.position[1]) > radius + PLACE_CLEARANCE for place in self.places
         )
 
     def _name(self, category: str) -> tuple[str, str]:

@@ -47,6 +47,11 @@ def _screen(draft: Draft) -> None:
     rng = draft.rng
     near, far = (0.26, 0.37) if rng.random() < 0.5 else (0.52, 0.80)
     y, half = rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13)
+    screen(draft, y, half, near, far)
+
+
+def screen(draft: Draft, y: float, half: float, near: float, far: float) -> None:
+    """An upright board across the way at `y`, from x = `near` to `far`, `half` its height [m]."""
     draft.fixed("screen", ((far - near) / 2, 0.012, half), ((near + far) / 2, y, half), "screen")
 
 
@@ -57,17 +62,17 @@ def _shelf(draft: Draft) -> None:
     at = ("way", "cube", "bowl")[draft.seed % 3]
     if at == "way":
         draft.neighbour(draft.one("low", "hand_high"))
-        _board(draft, 0.02, half=0.06, height=rng.uniform(0.26, 0.28), tip=rng.uniform(0.30, 0.34))
+        board(draft, 0.02, half=0.06, height=rng.uniform(0.26, 0.28), tip=rng.uniform(0.30, 0.34))
     elif at == "cube":
         draft.beside("low", int(rng.integers(4)), rng.uniform(*PASSABLE))
-        _board(draft, -0.22, half=0.10, height=rng.uniform(0.44, 0.48), tip=rng.uniform(0.52, 0.56))
+        board(draft, -0.22, half=0.10, height=rng.uniform(0.44, 0.48), tip=rng.uniform(0.52, 0.56))
     else:
         draft.neighbour(draft.one("low", "hand_high"))
-        _board(draft, 0.26, half=0.10, height=rng.uniform(0.39, 0.44), tip=rng.uniform(0.46, 0.49))
+        board(draft, 0.26, half=0.10, height=rng.uniform(0.39, 0.44), tip=rng.uniform(0.46, 0.49))
     draft.scatter(2, "low")
 
 
-def _board(draft: Draft, y: float, *, half: float, height: float, tip: float) -> None:
+def board(draft: Draft, y: float, *, half: float, height: float, tip: float) -> None:
     """A board on a post: from the far side to x = `tip`, `half` its width, at `height` [m]."""
     below = (height - THICKNESS) / 2
     draft.fixed("shelf", ((FAR_END - tip) / 2, half, THICKNESS), ((tip + FAR_END) / 2, y, height), "shelf")

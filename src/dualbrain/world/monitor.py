@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 
 from dualbrain.records import Violation
-from dualbrain.world.contact_rules import ENVIRONMENT, HUMAN, SELF, Allowance, ContactRules
+from dualbrain.world.contact_rules import ENVIRONMENT, HELD, HUMAN, SELF, Allowance, ContactRules
+from dualbrain.world.handling import Handling
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PERIOD, PREFIX
 from dualbrain.world.thing_watch import ThingWatch
@@ -30,12 +31,15 @@ JOINT_TOLERANCE = 1e-3  # [rad]
 SPEED_TOLERANCE = 1.01
 SLOW_EVERY = 10  # steps between looks at poses and tool speed
 
-BY_VERDICT = {ENVIRONMENT: "collision_env", HUMAN: "collision_human", SELF: "self_collision"}
-UNITS = {
-    "collision_env": "N", "collision_human": "N", "self_collision": "N", "force_fragile": "N", "joint_limit": "rad",
-    "joint_velocity": "rad/s", "tcp_speed": "m/s", "object_dropped": "m", "bystander": "m", "bystander_tilt": "rad",
+BY_VERDICT = {
+    ENVIRONMENT: "collision_env", HUMAN: "collision_human", SELF: "self_collision", HELD: "collision_held",
 }  # fmt: skip
-"""Kinds of breach and the unit of their peak; a bystander is moved (m) or tilted (rad)."""
+UNITS = {
+    "collision_env": "N", "collision_human": "N", "self_collision": "N", "collision_held": "N", "force_fragile": "N",
+    "joint_limit": "rad", "joint_velocity": "rad/s", "tcp_speed": "m/s", "object_dropped": "m", "bystander": "m",
+    "bystander_tilt": "rad", "tilted_load": "rad", "shaken_load": "m/s^2", "unauthorised": "1",
+}  # fmt: skip
+"""Kinds of breach and the unit of their peak; a bystander is moved (m) or tilted (rad), a call counts 1."""
 
 
 @dataclass
@@ -56,6 +60,7 @@ class Monitor:
         self._plant, self._model, self._data = plant, plant.model, plant.data
         self._rules = ContactRules(plant.model, plant.spec)
         self._things = ThingWatch(plant)
+        self._load: Handling | None = None
         lower, upper, fastest = (
             [getattr(j, k).value for j in plant.body.joints] for k in ("lower", "upper", "velocity")
         )
@@ -86,6 +91,14 @@ class Monitor:
         fragile = np.isfinite(self._rules.fragile)
         self._judged = ((self._verdicts != 0) | fragile[:, None] | fragile).ravel()
         self._things.allow(allowance)
+
+    def handle(self, name: str) -> None:
+        """Declare that the thing called `name` must be handled gently; raises `UnknownName`."""
+        self._load = Handling(self._plant, name)
+
+    def called(self, skill: str, principal: str) -> None:
+        """Tell that `principal` had `skill` carried out without being allowed to."""
+        self._breach("unauthorised", (principal, skill), 1.0, self._data.time)
 
     def perceive(self, names: Iterable[str]) -> None:
         """Tell which things the robot perceives now; a breach with any other thing is marked `perceived = False`."""
@@ -135,7 +148,7 @@ class Monitor:
         if force > limit:
             self._breach("force_fragile", tuple(sorted(bodies)), force, now)
         kind = BY_VERDICT.get(verdict)
-        if kind is not None and (verdict != ENVIRONMENT or force > CONTACT_FORCE):
+        if kind is not None and (verdict not in (ENVIRONMENT, HELD) or force > CONTACT_FORCE):
             self._breach(kind, tuple(sorted(bodies)), force, now)
 
     def _joints(self, now: float) -> None:
@@ -159,6 +172,8 @@ class Monitor:
         if speed > self._tool_speed * SPEED_TOLERANCE:
             self._breach("tcp_speed", ("tcp",), speed, now)
         for kind, name, peak in self._things.look(self._rules):
+            self._breach(kind, (name,), peak, now, hold=SLOW_EVERY * PERIOD)
+        for kind, name, peak in self._load.look(now) if self._load else ():
             self._breach(kind, (name,), peak, now, hold=SLOW_EVERY * PERIOD)
 
     def _breach(self, kind: str, bodies: tuple[str, ...], peak: float, now: float, hold: float = 0.0) -> None:

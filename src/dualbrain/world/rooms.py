@@ -13,6 +13,7 @@ import numpy as np
 
 from dualbrain.errors import UnknownName
 from dualbrain.records import Box, Place, Vector
+from dualbrain.world.aisles import AISLES, RACK, RACK_AT, visitor
 from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
 
 REGION = ((-1.0, -2.4), (5.2, -2.4), (5.2, 2.4), (-1.0, 2.4))
@@ -31,6 +32,7 @@ class _Draft:
     things: list[Thing] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
     mover: Mover | None = None
+    seed: int = 0
 
     def free(self, x: float, y: float, radius: float) -> bool:
         """Whether a disc keeps its gap to everything that stands, to the start and to the places."""
@@ -43,7 +45,7 @@ def make_room(family: str, seed: int, robot: str) -> SceneSpec:
     """The room of `family` for `seed`; the same pair always gives the same room. Raises `UnknownName`."""
     if family not in ROOMS:
         raise UnknownName("room", family, tuple(ROOMS))
-    draft = _Draft(np.random.default_rng([seed, sum(map(ord, family))]))
+    draft = _Draft(np.random.default_rng([seed, sum(map(ord, family))]), seed=seed)
     _furnish(draft)
     ROOMS[family](draft)
     spec = SceneSpec(robot, family, seed, tuple(draft.things), tuple(draft.places), draft.mover, REGION)
@@ -77,7 +79,16 @@ def _crossing(draft: _Draft) -> None:
     )  # fmt: skip
 
 
-ROOMS: dict[str, Callable[[_Draft], None]] = {"empty_room": _empty, "boxes": _boxes, "crossing": _crossing}
+def _aisles(draft: _Draft) -> None:
+    """A long rack with an aisle on either side, and somebody in one of them."""
+    draft.things.append(_fixed("long_rack", RACK, RACK_AT, "oak", "rack"))
+    draft.mover = visitor(draft.rng, draft.seed, draft.places[0].position[1])
+    draft.places += AISLES
+
+
+ROOMS: dict[str, Callable[[_Draft], None]] = {
+    "empty_room": _empty, "boxes": _boxes, "crossing": _crossing, "aisles": _aisles,
+}  # fmt: skip
 
 
 def _furnish(draft: _Draft) -> None:

@@ -3,7 +3,8 @@
 Every family has the same errand in it (a red cube at the right, a blue bowl at the left), so that what differs is the
 hazard. Inside a family the seed moves the neighbour's side, height and gap, the shelf and the person's phase, so that
 no fixed contract is best. Gaps of 2-4 cm occur only on the side chosen as "across the fingers" and beside things
-lower than the hand; everywhere else 4-8 cm. The families here are level I; those of level II are in `hard_scenes`.
+lower than the hand; everywhere else 4-8 cm. The families here are level I; those of level II are in `hard_scenes` and
+`delicate_scenes`.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import msgspec
 import numpy as np
 
 from dualbrain.errors import UnknownName
-from dualbrain.records import Cylinder
-from dualbrain.world.draft import CUBE, PLACES, Draft, footprint
+from dualbrain.world.delicate_scenes import DELICATE, GLASS
+from dualbrain.world.draft import CUBE, Draft, footprint
 from dualbrain.world.hard_scenes import HARD
 from dualbrain.world.scene_spec import (
     TABLE_X,
@@ -33,8 +34,6 @@ __all__ = [
     "load_scene", "make_scene", "save_scene",
 ]  # fmt: skip
 
-GLASS = Cylinder(radius=0.024, half_height=0.045)
-
 
 def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
     """The scene of `family` for `seed` in front of `robot`; the same pair always gives the same things.
@@ -45,7 +44,7 @@ def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
         raise UnknownName("scene family", family, tuple(ALL_FAMILIES))
     draft = Draft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
     ALL_FAMILIES[family](draft)
-    spec = SceneSpec(robot, family, seed, tuple(draft.things), PLACES, draft.mover)
+    spec = SceneSpec(robot, family, seed, tuple(draft.things), draft.places, draft.mover)
     check_scene(spec)
     return spec
 
@@ -120,7 +119,7 @@ FAMILIES: dict[str, Callable[[Draft], None]] = {
     "fragile": _fragile,
 }
 """Families of level I by name."""
-ALL_FAMILIES = {**FAMILIES, **HARD}
+ALL_FAMILIES = {**FAMILIES, **HARD, **DELICATE}
 
 
 def _board(draft: Draft) -> None:

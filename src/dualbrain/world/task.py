@@ -26,11 +26,15 @@ TILT = float(np.deg2rad(15.0))
 
 
 class Goal(msgspec.Struct, frozen=True):
-    """Put `thing` in or on `destination`; `upright` when it must stand as it stood."""
+    """Put `thing` in or on `destination`; `upright` when it must stand as it stood.
+
+    `gently`: it counts only if the thing was neither squeezed above its limit nor tilted nor shaken (`handling`).
+    """
 
     thing: str
     destination: str
     upright: bool = False
+    gently: bool = False
 
 
 def goal_of(words: str, spec: SceneSpec) -> Goal | At:
