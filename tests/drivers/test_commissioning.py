@@ -141,12 +141,13 @@ def test_the_template_is_the_checklist_with_everything_still_to_answer(lab):
     assert command(lab) == 1
 
 
-def test_without_a_record_the_gatekeeper_says_what_to_do(lab):
+def test_without_a_record_the_gatekeeper_says_what_to_do(lab, capsys):
     with pytest.raises(NotCommissioned, match="dualbrain robot commission"):
         Place.of(plan(lab))
     assert call(["gatekeeper", "--robot", "fr3", "--scene", "bare:0", "--driver", "franka", "--address", "10.0.0.2",
                  "--socket", str(lab / "s"), "--keys", str(lab / "k")]) == 5  # fmt: skip
     assert not (lab / "s").exists()
+    assert "Ctrl-C" not in capsys.readouterr().err, "what was refused does not run"
 
 
 def test_the_plant_and_the_fakes_need_none(lab):

@@ -74,8 +74,8 @@ def gatekeeper(
         recording=str(record) if record else "", site=str(site or ""), driver=driver, address=address,
         commissioned=str(commissioned or ""),
     )  # fmt: skip
-    print(f"gatekeeper of {robot} at {where}; Ctrl-C to shut down", file=sys.stderr)
-    punctuality = keep(plan)
+    said = f"gatekeeper of {robot} at {where}; Ctrl-C to shut down"
+    punctuality = keep(plan, lambda: print(said, file=sys.stderr))
     p50, p99, _, worst = (1e3 * value for value in punctuality.interval)
     print(
         f"{punctuality.ticks} ticks: interval {p50:.2f} ms (median), {p99:.2f} (99 %), {worst:.1f} (longest); "

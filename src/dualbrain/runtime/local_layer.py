@@ -103,11 +103,13 @@ class LocalLayer:
         phase_changed: Callable[[str, dict[str, str | None]], None] | None = None,
         interrupted: Callable[[], bool] = lambda: False, clock: Callable[[], float] | None = None,
         asked: Callable[[], int] = lambda: 0, timing: Timing = SIMULATED,
+        lap: Callable[[str], None] = lambda part: None,
     ) -> None:  # fmt: skip
         """Bind everything and look around once; the robot is not moved. `interrupted`: a person wants it to stop.
 
         `asked` gives the `Condition` bits that hold outside (operator, link), once a tick. `clock` [s] is the layer's
-        own, independent of the robot's stamps; without one, the newest state's stamp is the time.
+        own, independent of the robot's stamps; without one, the newest state's stamp is the time. `lap` hears what part
+        of a tick has just been done.
         """
         self.body, self.robot, self.surroundings, self.safety = body, robot, surroundings, safety
         self.log, self.config = log, config
@@ -115,7 +117,7 @@ class LocalLayer:
             max(1, round(every / body.period)) for every in (config.look_every, config.watch_every)
         )
         self.limb = limb_of(body, safety)
-        self.interrupted, self._asked, self._clock = interrupted, asked, clock
+        self.interrupted, self._asked, self._clock, self._lap = interrupted, asked, clock, lap
         self.spine = Spine(safety, timing=timing)
         self._on = True
         self._attended: set[str] = set()
@@ -235,6 +237,7 @@ class LocalLayer:
                 self._waited, end = self._waited + self.body.period, end + self.body.period
                 continue
             nominal = running.nominal(self._senses())
+            self._lap("skills")
             if isinstance(nominal, Ending):
                 return nominal
             if self.state.stamp > end:
@@ -285,21 +288,27 @@ class LocalLayer:
             self._change(nominal)
             nominal = replace(nominal, u=self.limb.reconsider(nominal.u))
         result = self.spine.control(self.state, nominal.u, now, guard=self.config.guard)
+        self._lap("filter")
         if self.spine.driving:
             self.robot.write(Command(result.u, nominal.opening, nominal.force))
+        self._lap("write")
         self.log.tick(
             now, self.state, nominal.u, result, action, nominal.phase, order=order.action, touched=self.spine.touched
         )  # fmt: skip
+        self._lap("record")
         if self._watch and self._ticks % self._watch_ticks == 0:
             self._watch(Moment(self.state, self.scene, nominal, result, action, self._skill, order))
+            self._lap("show")
         self.surroundings.advance()
         self._ticks += 1
         self._sense()
+        self._lap("sense")
         return result
 
     def _judge(self, now: float) -> Order:
         """This tick's order, told when it is another one; the drive follows it."""
         asked = self._asked()
+        self._lap("door")
         if self.interrupted():
             asked |= Condition.INTERRUPT
         order = self.spine.judge(self.state, now, asked)
@@ -313,6 +322,7 @@ class LocalLayer:
             (self.robot.enable if self._on else self.robot.stop)()
             self.log.note(self.state.stamp, "fault" if not self._on else "order",
                           "drive on, standing" if self._on else "drive off, brakes on")  # fmt: skip
+        self._lap("supervisor")
         return order
 
     def _sense(self) -> None:

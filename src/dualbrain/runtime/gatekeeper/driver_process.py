@@ -9,7 +9,6 @@ stands behind that. There is no camera here: the scene is the surveyed one, in w
 
 from __future__ import annotations
 
-import select
 import socket
 import sys
 import time
@@ -26,6 +25,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.records import Pose, Scene, SceneObject
 from dualbrain.runtime.gatekeeper import bus
 from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG
+from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
 from dualbrain.world.perception import TABLE
 from dualbrain.world.scene_spec import SceneSpec
 
@@ -50,15 +50,16 @@ class DriverProcess:
 
     def __init__(self, driver: Driver, scene: Scene, link: socket.socket) -> None:
         """Nothing moves; the drive is switched on when the gatekeeper says so."""
-        self._driver, self._scene, self._link = driver, scene, link
-        self._open, self._asked_to_quit, self._answered = True, False, False
+        self._driver, self._scene = driver, scene
+        self._wire: Wire[bus.ToRobot] = Wire(link, bus.to_robot)
+        self._asked_to_quit = self._answered = False
         self._heard, self._on = time.monotonic(), False
         self._ticks, self._joints = 0, len(driver.read().q)
 
     def serve(self) -> None:
         """Until told to quit, or until the link is gone."""
         try:
-            while self._open and not self._asked_to_quit:
+            while self._wire.open and not self._asked_to_quit:
                 self._driver.wait()
                 self._tell()
                 self._await_answer(time.monotonic() + ANSWER * self._driver.timing.period)
@@ -70,41 +71,28 @@ class DriverProcess:
 
     def _tell(self) -> None:
         state = self._driver.read()
-        self._send(bus.State.of(state))
+        self._wire.send(bus.State.of(state))
         if self._ticks % LOOK_EVERY == 0:
             seen = tuple(msgspec.structs.replace(thing, stamp=state.stamp) for thing in self._scene.objects)
-            self._send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp, objects=seen)))
+            self._wire.send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp, objects=seen)))
         self._ticks += 1
 
     def _await_answer(self, deadline: float) -> None:
         """Take in commands until one answers the state that was told, or time is up."""
         self._answered = False
-        while self._open and not self._answered and (left := deadline - time.monotonic()) > 0.0:
-            if select.select((self._link,), (), (), left)[0]:
-                self._hear()
-
-    def _hear(self) -> None:
-        try:
-            data = self._link.recv(bus.PACKET)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._open = False
-            return
-        try:
-            self._obey(bus.to_robot(data))
-        except msgspec.DecodeError:
-            self._cut()
+        while self._wire.open and not self._answered and (left := deadline - time.monotonic()) > 0.0:
+            if self._wire.wait(left):
+                self._obey(self._wire.hear())
 
     def _cut(self) -> None:
         """What was heard is no packet for this arm: it stops, and goes on only when it is switched on again."""
         self._on = False
         self._driver.stop()
 
-    def _obey(self, packet: bus.ToRobot) -> None:
+    def _obey(self, packet: bus.ToRobot | Rubbish | None) -> None:
         match packet:
+            case Rubbish():
+                self._cut()
             case bus.Write(u) if len(u) != self._joints:
                 self._cut()
             case bus.Write(u, opening, force):
@@ -118,14 +106,6 @@ class DriverProcess:
                 self._asked_to_quit = True
             case _:  # who judges a simulation, and what may be touched in it, means nothing to an arm
                 pass
-
-    def _send(self, packet: bus.FromRobot) -> None:
-        try:
-            self._link.send(bus.encode(packet))
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._open = False
 
 
 def surveyed(spec: SceneSpec) -> Scene:
@@ -161,7 +141,6 @@ class Pace:
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
-    link.setblocking(False)
     settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=DriverSettings)
     kind = driver_kind(settings.driver, settings.body.name)
     scene = surveyed(settings.scene)

@@ -69,12 +69,13 @@ class Gatekeeper:
         timing: Timing, recorder: Recorder | None = None, trace: Trace | None = None, stage: float = 1.0,
         standing: tuple[Obstacle, ...] = (), config: FilterConfig | None = None, off_at_first: bool = False,
         monotonic: Callable[[], float] = time.monotonic, ended: Callable[[Outcome], None] = lambda outcome: None,
+        lap: Callable[[str], None] = lambda part: None,
     ) -> None:  # fmt: skip
         """Bind everything; the robot stands still until a contract is accepted.
 
         `standing` is what a site says stands there for good; `config` are the filter's dials for this robot, and
         `off_at_first` says that its drive has to be switched on. Peers are timed by `monotonic` [s]; `ended` is told
-        every outcome.
+        every outcome, `lap` what part of a tick has just been done.
         """
         self.robot, self.door, self.hand = robot, door, Hand(stage)
         self._keys, self._capabilities = keys, dict(capabilities)
@@ -95,6 +96,7 @@ class Gatekeeper:
             body, robot, robot, SafetyFilter(body, config, standing=standing), self._log,
             LayerConfig(watch_every=GLIMPSE_EVERY),
             watch=self._glimpse, phase_changed=robot.allow, clock=robot.clock, asked=self._service, timing=timing,
+            lap=lap,
         )  # fmt: skip
         self.layer.spine.stage = stage
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import deque
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
+from dualbrain.runtime.gatekeeper.histogram import Histogram
+from dualbrain.runtime.gatekeeper.laps import Part
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.timing import Timing
 
-BIN, BINS = 2e-5, 1000
+BIN = 2e-5
 """Histograms: bins of 20 µs up to 20 ms; the last bin holds what is beyond."""
 WINDOW = 1000
 WARM_UP = 200
@@ -21,7 +21,7 @@ WARM_UP = 200
 class Punctuality(msgspec.Struct, frozen=True):
     """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
 
-    `missed` states never came; `bins` are counts of intervals by 20 µs.
+    `missed` states never came; `bins` are counts of intervals by 20 µs; `parts` is what a tick's work is made of.
     """
 
     ticks: int
@@ -31,6 +31,7 @@ class Punctuality(msgspec.Struct, frozen=True):
     work: tuple[float, float, float, float]
     latency: tuple[float, float, float, float]
     bins: tuple[int, ...]
+    parts: dict[str, Part] = {}
 
 
 class Metronome:
@@ -39,8 +40,7 @@ class Metronome:
     def __init__(self, timing: Timing) -> None:
         """Nothing has happened yet."""
         self._timing = timing
-        self._counts = {name: np.zeros(BINS, np.int64) for name in ("interval", "work", "latency")}
-        self._worst = dict.fromkeys(self._counts, 0.0)
+        self._interval, self._work, self._latency = Histogram(BIN), Histogram(BIN), Histogram(BIN)
         self._arrived: float | None = None
         self._sent = True
         self._recent: deque[bool] = deque(maxlen=WINDOW)
@@ -52,7 +52,7 @@ class Metronome:
         """A state came, and `lost` before it never did."""
         if self._arrived is not None:
             gap = now - self._arrived
-            self._count("interval", gap)
+            self._interval.add(gap)
             if gap > self._timing.lost and self._ticks > WARM_UP:
                 self._flags |= Condition.TICK_LOST
         self._arrived, self._sent = now, False
@@ -65,7 +65,7 @@ class Metronome:
             return
         self._sent = True
         latency = now - self._arrived
-        self._count("latency", latency)
+        self._latency.add(latency)
         if latency > self._timing.late:
             self._flags |= Condition.COMMAND_LATE
 
@@ -74,7 +74,7 @@ class Metronome:
         if self._arrived is None:
             return
         work = now - self._arrived
-        self._count("work", work)
+        self._work.add(work)
         late = work > self._timing.overrun and self._ticks > WARM_UP
         self._overruns += late - (self._recent[0] if len(self._recent) == WINDOW else False)
         self._recent.append(late)
@@ -91,19 +91,6 @@ class Metronome:
 
     def summary(self) -> Punctuality:
         """Everything so far."""
-        quantiles = {name: self._percentiles(name) for name in self._counts}
-        bins = tuple(self._counts["interval"].tolist())
-        return Punctuality(self._ticks, self.missed, self._late, **quantiles, bins=bins)
-
-    def _count(self, name: str, value: float) -> None:
-        self._counts[name][min(int(value / BIN), BINS - 1)] += 1
-        self._worst[name] = max(self._worst[name], value)
-
-    def _percentiles(self, name: str) -> tuple[float, float, float, float]:
-        counts: NDArray[np.int64] = self._counts[name]
-        total: NDArray[np.int64] = np.cumsum(counts)
-        count = int(total[-1])
-        if not count:
-            return (0.0, 0.0, 0.0, 0.0)
-        p50, p99, p999 = (BIN * (1 + int(np.searchsorted(total, share * count))) for share in (0.5, 0.99, 0.999))
-        return (p50, p99, p999, self._worst[name])
+        interval, work, latency = (one.summary() for one in (self._interval, self._work, self._latency))
+        bins = tuple(self._interval.counts)
+        return Punctuality(self._ticks, self.missed, self._late, interval, work, latency, bins)

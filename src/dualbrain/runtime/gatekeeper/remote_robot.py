@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import select
-import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -18,28 +15,27 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.records import Judgement, Scene
 from dualbrain.runtime.gatekeeper import bus
 from dualbrain.runtime.gatekeeper.driver_process import DriverSettings
+from dualbrain.runtime.gatekeeper.laps import Laps
 from dualbrain.runtime.gatekeeper.metronome import Metronome
 from dualbrain.runtime.gatekeeper.robot_process import Settings
+from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire, pair
 from dualbrain.safety.timing import Timing
 
 PATIENCE = 5
 """Periods that a tick waits for a state; then it goes on with the old one, and the watch sees that."""
 START = 60.0
 """How long the robot may take to come up [s]."""
-BUFFER = 1 << 20
 
 
 class RemoteRobot:
     """`Robot` and `Surroundings` in one; `clock()` is the robot's time as far as it can be known here [s]."""
 
-    def __init__(self, settings: Settings | DriverSettings, timing: Timing) -> None:
+    def __init__(self, settings: Settings | DriverSettings, timing: Timing, laps: Laps | None = None) -> None:
         """Start the process of the simulated robot, or of a driver, and wait for its first state and scene.
 
         Raises `InvalidSetup` if none comes.
         """
-        here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        for end in (here, there):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        here, there = pair()
         self.process = subprocess.Popen(
             [sys.executable, *_flags(), "-m", _module(settings), str(there.fileno())],
             stdin=subprocess.PIPE, pass_fds=(there.fileno(),),
@@ -48,9 +44,9 @@ class RemoteRobot:
         if self.process.stdin:
             self.process.stdin.write(msgspec.json.encode(settings) + b"\n")
             self.process.stdin.flush()
-        here.setblocking(False)
-        self._link, self._timing = here, timing
-        self.metronome = Metronome(timing)
+        self._wire: Wire[bus.FromRobot] = Wire(here, bus.from_robot)
+        self._timing = timing
+        self.metronome, self._laps = Metronome(timing), laps or Laps()
         self._state: RobotState | None = None
         self._scene: Scene | None = None
         self._judgement: Judgement | None = None
@@ -67,16 +63,16 @@ class RemoteRobot:
 
     def write(self, command: Command) -> None:
         """Send a command."""
-        self._send(bus.Write(tuple(command.u.tolist()), command.opening, command.force))
+        self._wire.send(bus.Write(tuple(command.u.tolist()), command.opening, command.force))
         self.metronome.sent(time.monotonic())
 
     def stop(self) -> None:
         """Drive off."""
-        self._send(bus.Switch(on=False))
+        self._wire.send(bus.Switch(on=False))
 
     def enable(self) -> None:
         """Drive on."""
-        self._send(bus.Switch(on=True))
+        self._wire.send(bus.Switch(on=True))
 
     # --- surroundings -------------------------------------------------------------------------------------------
 
@@ -87,13 +83,19 @@ class RemoteRobot:
         return self._scene
 
     def advance(self) -> None:
-        """Until the next joint state, at most `PATIENCE` periods."""
+        """Until the next joint state, at most `PATIENCE` periods; a dead robot beats no time, so we do."""
         self.metronome.ended(time.monotonic())
+        self._laps.ended()
+        if not self._wire.open:
+            time.sleep(self._timing.period)
         before = self._state
         deadline = time.monotonic() + PATIENCE * self._timing.period
-        while self._state is before and (left := deadline - time.monotonic()) > 0.0:
-            if select.select((self._link,), (), (), left)[0] and not self._receive():
-                return
+        while self._wire.open and self._state is before and (left := deadline - time.monotonic()) > 0.0:
+            heard = self._wire.wait(left)
+            self._laps.lap("wait")
+            if heard:
+                self._receive()
+                self._laps.lap("read")
 
     def clock(self) -> float:
         """The newest state's stamp, and the time since it came [s]."""
@@ -107,27 +109,27 @@ class RemoteRobot:
 
     def allow(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell the monitor what may be touched."""
-        self._send(bus.Allow(phase, roles))
+        self._wire.send(bus.Allow(phase, roles))
 
     def begin(self, contract: Contract) -> None:
         """Tell the referee what is to be done."""
-        self._send(bus.Begin(contract))
+        self._wire.send(bus.Begin(contract))
 
     def judge(self) -> Judgement | None:
         """What truth says; the answer comes while the robot goes on."""
         self._judgement = None
-        self._send(bus.Judge())
+        self._wire.send(bus.Judge())
         deadline = time.monotonic() + 2.0
-        while self._judgement is None and time.monotonic() < deadline:
-            if select.select((self._link,), (), (), 0.1)[0] and not self._receive():
-                break
+        while self._wire.open and self._judgement is None and time.monotonic() < deadline:
+            if self._wire.wait(0.1):
+                self._receive()
         return self._judgement
 
     def close(self) -> None:
         """Drive off, and the robot is switched off."""
         self.stop()
-        self._send(bus.Quit())
-        self._link.close()
+        self._wire.send(bus.Quit())
+        self._wire.close()
         try:
             self.process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
@@ -143,24 +145,14 @@ class RemoteRobot:
         while (self._state is None or self._scene is None) and time.monotonic() < deadline:
             if self.process.poll() is not None:
                 raise InvalidSetup("robot process", got=f"exit code {self.process.returncode}", allowed="one that runs")
-            if select.select((self._link,), (), (), 0.1)[0]:
+            if self._wire.wait(0.1):
                 self._receive()
         if self._state is None or self._scene is None:
             raise InvalidSetup("robot process", got="silence", allowed=f"a first state within {START:.0f} s")
 
-    def _receive(self) -> bool:
-        """Take in everything that has come; False when the link is gone."""
-        while True:
-            try:
-                data = self._link.recv(bus.PACKET)
-            except BlockingIOError:
-                return True
-            except OSError:
-                data = b""
-            if not data:
-                time.sleep(self._timing.period)  # a dead robot beats no time
-                return False
-            packet: bus.FromRobot = bus.from_robot(data)
+    def _receive(self) -> None:
+        """Take in everything that has come."""
+        while (packet := self._wire.hear()) is not None:
             match packet:
                 case bus.State():
                     self._take(packet)
@@ -168,6 +160,8 @@ class RemoteRobot:
                     self._scene = scene
                 case bus.Judged(judgement):
                     self._judgement = judgement
+                case Rubbish(reason):
+                    raise InvalidSetup("packet of the robot", got=reason, allowed="a state, a scene or a judgement")
 
     def _take(self, state: bus.State) -> None:
         self._received = time.monotonic()
@@ -176,11 +170,6 @@ class RemoteRobot:
             state.stamp, state.sequence, np.array(state.q), np.array(state.v), state.opening, state.forces, state.driven
         )  # fmt: skip
         self.metronome.arrived(self._received, lost)
-
-    def _send(self, packet: bus.ToRobot) -> None:
-        """A packet that does not go at once is lost; the robot's watchdog counts them."""
-        with suppress(OSError):
-            self._link.send(bus.encode(packet))
 
 
 def _module(settings: Settings | DriverSettings) -> str:

@@ -8,7 +8,6 @@ a link it goes on for `AFTERMATH` seconds, so that what happens then is judged t
 
 from __future__ import annotations
 
-import select
 import socket
 import sys
 import time
@@ -22,6 +21,7 @@ from dualbrain.embodiment.body import Body, load_body
 from dualbrain.embodiment.robot import Command
 from dualbrain.records import Judgement
 from dualbrain.runtime.gatekeeper import bus
+from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
@@ -78,8 +78,8 @@ class RobotProcess:
         self.world = SimulatedWorld(
             self.plant, perception, goal=goal_of(settings.goal, spec) if settings.goal else None
         )
-        self._link, self._settings, self._period = link, settings, body.period
-        self._open, self._asked_to_quit = True, False
+        self._wire: Wire[bus.ToRobot] = Wire(link, bus.to_robot)
+        self._settings, self._period, self._asked_to_quit = settings, body.period, False
         self._silent_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._off_by, self._off_q = "", self.plant.read().q
@@ -88,7 +88,7 @@ class RobotProcess:
     def serve(self) -> None:
         """Run until told to quit or, without a link, until the aftermath is over."""
         due = time.monotonic()
-        while not self._asked_to_quit and (self._open or time.monotonic() - self._silent_at < AFTERMATH):
+        while not self._asked_to_quit and (self._wire.open or time.monotonic() - self._silent_at < AFTERMATH):
             self._hear()
             self._guard(time.monotonic())
             self._tick()
@@ -103,24 +103,22 @@ class RobotProcess:
     def _tick(self) -> None:
         self.world.advance()
         state = self.plant.read()
-        self._send(bus.State.of(state))
+        self._wire.send(bus.State.of(state))
         if self._ticks % LOOK_EVERY == 0:
-            self._send(bus.Seen(self.world.look()))
+            self._wire.send(bus.Seen(self.world.look()))
         self._ticks += 1
 
     def _wait(self, ahead: float, due: float) -> None:
         """Until the next tick; a command that comes meanwhile is taken at once."""
         while ahead > 0.0:
-            if not self._open:
-                time.sleep(ahead)
-            elif select.select((self._link,), (), (), ahead)[0]:
+            if self._wire.wait(ahead):
                 self._hear()
             ahead = due - time.monotonic()
 
     def _guard(self, now: float) -> None:
         """The robot's own watchdog: armed by the first command, it knows nothing of orders, only of silence."""
         silent = self._armed and now - self._silent_at > WATCHDOG
-        if self._off_at is None and (silent or not self._open):
+        if self._off_at is None and (silent or not self._wire.open):
             self._cut("watchdog")
 
     def _cut(self, by: str) -> None:
@@ -129,23 +127,13 @@ class RobotProcess:
             self._off_at, self._off_by, self._off_q = time.monotonic(), by, self.plant.read().q
 
     def _hear(self) -> None:
-        while self._open:
-            try:
-                data = self._link.recv(bus.PACKET)
-            except BlockingIOError:
-                return
-            except OSError:
-                data = b""
-            if not data:
-                self._open = False
-                return
-            try:
-                self._obey(bus.to_robot(data))
-            except msgspec.DecodeError:
-                self._cut("rubbish")
+        while (packet := self._wire.hear()) is not None:
+            self._obey(packet)
 
-    def _obey(self, packet: bus.ToRobot) -> None:
+    def _obey(self, packet: bus.ToRobot | Rubbish) -> None:
         match packet:
+            case Rubbish():
+                self._cut("rubbish")
             case bus.Write(u, opening, force):
                 self._silent_at, self._armed = time.monotonic(), True
                 if len(u) == self.plant.body.n and np.isfinite([*u, opening, force]).all():
@@ -161,19 +149,9 @@ class RobotProcess:
             case bus.Begin(contract):
                 self.world.begin(contract)
             case bus.Judge():
-                self._send(bus.Judged(self.world.judgement()))
+                self._wire.send(bus.Judged(self.world.judgement()))
             case bus.Quit():
                 self._asked_to_quit = True
-
-    def _send(self, packet: bus.FromRobot) -> None:
-        """A packet that does not go at once is lost, as on a real bus."""
-        try:
-            if self._open:
-                self._link.send(bus.encode(packet))
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._open = False
 
     def _leave(self) -> None:
         if not self._settings.report:
@@ -189,7 +167,6 @@ class RobotProcess:
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket."""
     link = socket.socket(fileno=int(arguments[0]))
-    link.setblocking(False)
     settings: Any = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
     RobotProcess(settings, link).serve()
 

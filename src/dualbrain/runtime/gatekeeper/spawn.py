@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -17,6 +18,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.runtime.gatekeeper.capability import Capability
 from dualbrain.runtime.gatekeeper.door import Door
 from dualbrain.runtime.gatekeeper.keeper import Gatekeeper
+from dualbrain.runtime.gatekeeper.laps import Laps
 from dualbrain.runtime.gatekeeper.metronome import Punctuality
 from dualbrain.runtime.gatekeeper.place import Place
 from dualbrain.runtime.gatekeeper.remote_robot import RemoteRobot
@@ -57,8 +59,11 @@ class Plan(msgspec.Struct, frozen=True):
     commissioned: str = ""
 
 
-def keep(plan: Plan) -> Punctuality:
-    """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was."""
+def keep(plan: Plan, ready: Callable[[], None] = lambda: None) -> Punctuality:
+    """Be the gatekeeper until told to shut down (by the operator, SIGTERM or SIGINT); how punctual it was.
+
+    `ready` is called once robot and door are there and nothing was refused, before the first tick.
+    """
     sys.setswitchinterval(SWITCH)
     _ask_for_real_time()
     place, keys = Place.of(plan), open_keys(Path(plan.keys))
@@ -67,7 +72,8 @@ def keep(plan: Plan) -> Punctuality:
     robot: RemoteRobot | None = None
     recorder: Recorder | None = None
     try:
-        robot = RemoteRobot(place.settings(plan), place.timing)
+        laps = Laps()
+        robot = RemoteRobot(place.settings(plan), place.timing, laps)
         trace = Trace(body.n, body.width)
         if plan.recording:
             recorder = Recorder(Path(plan.recording), trace)
@@ -75,6 +81,7 @@ def keep(plan: Plan) -> Punctuality:
         keeper = Gatekeeper(
             body, robot, door, keys, {PLANNER: place.capability}, timing=place.timing, recorder=recorder, trace=trace,
             stage=plan.stage, standing=place.standing, config=place.config, off_at_first=place.kind is not None,
+            lap=laps.lap,
         )  # fmt: skip
 
         def stop(number: int, frame: FrameType | None) -> None:
@@ -83,8 +90,9 @@ def keep(plan: Plan) -> Punctuality:
 
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, stop)
+        ready()
         keeper.run()
-        punctuality = robot.metronome.summary()
+        punctuality = msgspec.structs.replace(robot.metronome.summary(), parts=laps.summary())
         if plan.punctuality:
             Path(plan.punctuality).write_bytes(msgspec.json.encode(punctuality))
         return punctuality

@@ -1,0 +1,88 @@
+"""How ticks are timed: histograms against numpy, the laps of a tick, and the metronome's conditions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.runtime.gatekeeper import laps as laps_module
+from dualbrain.runtime.gatekeeper.histogram import BINS, Histogram
+from dualbrain.runtime.gatekeeper.laps import PARTS, Laps
+from dualbrain.runtime.gatekeeper.metronome import WARM_UP, Metronome
+from dualbrain.safety.condition import Condition
+from dualbrain.safety.timing import SIMULATED
+
+WIDTH = 1e-3
+
+
+@given(st.lists(st.floats(0.0, 0.9), min_size=1), st.sampled_from((0.5, 0.99, 0.999)))
+def test_a_quantile_is_that_of_the_values_to_within_a_bin(values, share):
+    histogram = Histogram(WIDTH)
+    for value in values:
+        histogram.add(value)
+    exact = np.quantile(values, share, method="inverted_cdf")
+    assert exact - 1e-9 <= histogram.quantile(share) <= exact + WIDTH + 1e-9
+    assert histogram.longest == max(values)
+    assert histogram.mean == pytest.approx(np.mean(values), abs=1e-9)
+    assert sum(histogram.counts) == histogram.ticks == len(values)
+
+
+def test_what_is_beyond_the_last_bin_is_told_by_the_longest():
+    histogram = Histogram(WIDTH)
+    assert histogram.summary() == (0.0, 0.0, 0.0, 0.0)
+    histogram.add(7.0)
+    assert histogram.counts[BINS - 1] == 1
+    assert histogram.summary() == (7.0, 7.0, 7.0, 7.0)
+
+
+def test_each_part_of_a_tick_counts_once_and_the_parts_are_the_whole(monkeypatch):
+    clock = iter(np.arange(0.0, 1.0, 1e-4).tolist())
+    monkeypatch.setattr(laps_module, "perf_counter", lambda: next(clock))
+    laps = Laps()
+    for _ in range(3):
+        for part in ("wait", "read", "wait", "read", "filter"):
+            laps.lap(part)
+        laps.ended()
+    found = laps.summary()
+    assert set(found) == set(PARTS)
+    assert (found["wait"].ticks, found["filter"].ticks, found["skills"].ticks) == (3, 3, 0)
+    assert found["wait"].mean == pytest.approx(2e-4)
+    assert found["filter"].mean == pytest.approx(1e-4)
+    assert sum(part.mean for part in found.values()) == pytest.approx(5e-4)
+
+
+def test_a_part_without_a_name_is_a_mistake():
+    with pytest.raises(KeyError):
+        Laps().lap("lunch")
+
+
+def _beat(metronome, count, work, start=0.0, period=1e-3, lost=0):
+    for k in range(count):
+        now = start + k * period
+        metronome.arrived(now, lost)
+        metronome.sent(now + 0.5 * work)
+        metronome.ended(now + work)
+
+
+def test_a_punctual_tick_raises_nothing_and_a_late_one_is_counted_and_told():
+    metronome = Metronome(SIMULATED)
+    _beat(metronome, WARM_UP + 100, 3e-4)
+    assert metronome.flags() == 0
+    _beat(metronome, 10, 1.5e-3, start=1.0, period=2e-3)
+    flags = metronome.flags()
+    assert flags & Condition.TICK_OVERRUN
+    assert not flags & Condition.COMMAND_LATE
+    assert flags & Condition.TICK_LOST, "between the two there was a hole of 0.7 s"
+    found = metronome.summary()
+    assert (found.late, found.ticks) == (10, WARM_UP + 110)
+    assert found.interval[0] == pytest.approx(1e-3, abs=3e-5)
+    assert sum(found.bins) == found.ticks - 1
+    assert metronome.flags() == 0, "told once"
+
+
+def test_states_that_never_came_are_counted_after_the_start():
+    metronome = Metronome(SIMULATED)
+    _beat(metronome, WARM_UP, 1e-4, lost=1)
+    assert metronome.missed == 0
+    _beat(metronome, 5, 1e-4, start=WARM_UP * 1e-3, lost=2)
+    assert metronome.missed == 10
