@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from dualbrain.adaptation.serving.opening import open_planner
 from dualbrain.cli import folders
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.registry import open_planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.given import GivenContract
@@ -61,7 +61,8 @@ def planner_of(name: str) -> Planner:
         return GivenContract(name, Path(name).read_bytes())
     prefixes = folders.cache() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
-    return open_planner(name, folders.cache(), key=os.environ.get("OPENAI_API_KEY", ""), prefixes=prefixes)
+    key, adapters = os.environ.get("OPENAI_API_KEY", ""), folders.home() / "adapters"
+    return open_planner(name, folders.cache(), adapters=adapters, key=key, prefixes=prefixes)
 
 
 def episode(scene: str, instruction: str, planner: Planner, *, guard: bool) -> Episode:

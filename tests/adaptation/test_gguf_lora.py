@@ -18,34 +18,16 @@ for part in ("torch", "peft", "gguf", "xllamacpp"):
 import gguf
 import torch
 import xllamacpp
-from peft import LoraConfig, get_peft_model
 from safetensors.torch import load_file, save_file
 
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.serving.gguf_lora import convert, permuted
 from dualbrain.adaptation.serving.peft_lora import CONFIG, WEIGHTS, read_lora
 from dualbrain.errors import InvalidSetup, MissingPart
-from tests.adaptation.tiny_gguf import KINDS, interleaved, model, write_gguf
+from tests.adaptation.tiny_gguf import KINDS, fitted, interleaved, model, write_gguf
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
 PROMPT = [10, 20, 30, 200, 7, 99, 31, 64]
-
-
-def fitted(made, folder, dtype=torch.float32, **changed):
-    """A random adapter on `made`, written as peft writes it, and the model that wears it."""
-    shape = LoraConfig(
-        **({"r": 4, "lora_alpha": 12, "target_modules": "all-linear", "task_type": "CAUSAL_LM"} | changed)
-    )
-    worn = get_peft_model(made, shape, autocast_adapter_dtype=False).eval()
-    torch.manual_seed(5)
-    with torch.no_grad():
-        for parameter in worn.parameters():
-            if parameter.requires_grad:
-                parameter.copy_((0.1 * torch.randn_like(parameter)).to(dtype).float())
-    worn.save_pretrained(folder)
-    tensors = load_file(folder / WEIGHTS)
-    save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS)
-    return worn
 
 
 def of_torch(worn):

@@ -3,8 +3,11 @@
 import gguf
 import numpy as np
 import torch
+from peft import LoraConfig, get_peft_model
+from safetensors.torch import load_file, save_file
 from transformers import LlamaConfig, LlamaForCausalLM, Qwen2Config, Qwen2ForCausalLM
 
+from dualbrain.adaptation.serving.peft_lora import WEIGHTS
 from tests.adaptation.tiny import TEMPLATE, tokenizer
 
 KINDS = {"llama": (LlamaConfig, LlamaForCausalLM), "qwen2": (Qwen2Config, Qwen2ForCausalLM)}
@@ -79,3 +82,20 @@ def _add_tokenizer(writer):
     writer.add_pad_token_id(257)
     writer.add_add_bos_token(value=False)
     writer.add_chat_template(TEMPLATE)
+
+
+def fitted(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
+    """A random adapter on `made`, written as peft writes it, and the model that wears it."""
+    shape = LoraConfig(
+        **({"r": 4, "lora_alpha": 12, "target_modules": "all-linear", "task_type": "CAUSAL_LM"} | changed)
+    )
+    worn = get_peft_model(made, shape, autocast_adapter_dtype=False).eval()
+    torch.manual_seed(seed)
+    with torch.no_grad():
+        for parameter in worn.parameters():
+            if parameter.requires_grad:
+                parameter.copy_((size * torch.randn_like(parameter)).to(dtype).float())
+    worn.save_pretrained(folder)
+    tensors = load_file(folder / WEIGHTS)
+    save_file({name: tensor.to(dtype).contiguous() for name, tensor in tensors.items()}, folder / WEIGHTS)
+    return worn

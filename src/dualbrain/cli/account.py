@@ -52,7 +52,7 @@ def carry_out(
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
         goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
-        map=chart, eyes=eyes, site=site, utility=utility,
+        map=chart, eyes=eyes, site=site, utility=utility, adapters=home() / "adapters",
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)

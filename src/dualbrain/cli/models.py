@@ -33,12 +33,22 @@ def fetch(*names: str) -> int:
     Parameters
     ----------
     names
-        Names from `dualbrain models list`; the URL of a server or a GGUF file needs no weights and is passed over.
+        Names from `dualbrain models list`, or of an adapter that comes with dualbrain (its base); the URL of a server or a GGUF file needs no weights and is passed over.
     """
     for name in names:
         if "://" not in name and not name.endswith(".gguf"):
-            _fetch_one(name)
+            _fetch_one(_beneath(name))
     return Exit.SUCCESS
+
+
+def _beneath(name: str) -> str:
+    """The model that a packaged adapter sits on; any other name as it is."""
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+
+    while name in packaged_names():
+        name = read_adapter_card(packaged_folder(name)).base
+    return name
 
 
 def _fetch_one(name: str) -> None:

@@ -50,7 +50,8 @@ def run(
     scene
         Which world: a number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile) or a scene file.
     planner
-        Name from `dualbrain models list`, or the URL of an OpenAI-compatible server.
+        Name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`, or one that comes with
+        dualbrain), or the URL of an OpenAI-compatible server.
     filter
         "off" writes the nominal control unfiltered: for comparison in simulation only.
     contract

@@ -18,10 +18,19 @@ _DEFINITIONS = ("$defs", "definitions")
 
 def actions_grammar(schema: dict[str, Any]) -> str:
     """Grammar of what follows the header of a contract: its action sequence and the closing brace."""
+    return _grammar(schema, "")
+
+
+def tail_grammar(schema: dict[str, Any]) -> str:
+    """Grammar of what follows the word `"action_sequence`: the closing quote, a colon, and as above."""
+    return _grammar(schema, '"\\":" ')
+
+
+def _grammar(schema: dict[str, Any], before: str) -> str:
     actions = narrow(schema["properties"]["action_sequence"])
     actions |= {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
     actions["x-guidance"] = {"whitespace_flexible": False}
-    return f'%llguidance {{}}\nstart: actions "}}"\nactions: %json {json.dumps(actions)}'
+    return f'%llguidance {{}}\nstart: {before}actions "}}"\nactions: %json {json.dumps(actions)}'
 
 
 def narrow(schema: Any) -> Any:

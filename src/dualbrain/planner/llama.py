@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import json
-import secrets
-import select
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,58 +13,46 @@ import jsonschema_rs
 
 from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.planner import protocol
-from dualbrain.planner.chat import Answer, ask
-from dualbrain.planner.grammar import actions_grammar
+from dualbrain.planner.asking import CONSTRAINED_BY, FREE_BY, FULL, Asking
+from dualbrain.planner.chat import Answer, ask, post
+from dualbrain.planner.llama_process import DEFAULTS, LlamaConfig, LlamaProcess, Worn
 from dualbrain.planner.prefix import PrefixStore
-from dualbrain.planner.prompt import header, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
-CONSTRAINED_BY = "llguidance in llama.cpp (xllamacpp); header given"
-"""The id and context of a contract are given to the model as the beginning of its answer: they are fixed anyway, and
-reading them is four times as fast as writing them."""
-
-_CHILD = Path(__file__).with_name("llama_child.py")
-
-
-@dataclass(frozen=True, slots=True)
-class LlamaConfig:
-    """How the model runs.
-
-    `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` in tokens (eight actions fit).
-    `timeout_s`: for one proposal, including the load of the model [s]. `prefixes`: an existing folder in which the
-    state after the unchanging part of the prompt is kept, so that the next process need not read it again.
-    """
-
-    threads: int = 1
-    n_ctx: int = 6144
-    max_tokens: int = 640
-    timeout_s: float = 600.0
-    prefixes: Path | None = None
+__all__ = ["LlamaConfig", "LlamaPlanner", "Worn"]
 
 
 class LlamaPlanner:
-    """Proposes with the GGUF model at `model`.
+    """Proposes with the GGUF model at `model`, wearing `adapters` (GGUF-LoRA files made for it).
 
     The child process is started at once and loads while the caller goes on; one that has died or was killed after a
-    timeout is started again by the next proposal. It listens on loopback only, behind a random key.
-    Raises `MissingPart` when xllamacpp is not installed or `model` is not there.
+    timeout is started again by the next proposal. It listens on loopback only, behind a random key. Every request names
+    every adapter and its scale, and nothing that was read before is used again with adapters: they are known to answer
+    from stale caches (llama.cpp #26207), and how a prompt is cut into batches decides near-ties. So an answer depends
+    on model, adapters and question alone. Raises `MissingPart` when xllamacpp is not installed or a file is not there.
     """
 
     def __init__(
         self,
         name: str,
         model: Path,
-        config: LlamaConfig = LlamaConfig(),
+        config: LlamaConfig = DEFAULTS,
         *,
         clock: Callable[[], float] = time.monotonic,
+        asking: Asking = FULL,
+        adapters: tuple[Worn, ...] = (),
     ) -> None:
         if find_spec("xllamacpp") is None:
             raise MissingPart("The package xllamacpp", fix="Install it with `pip install 'dualbrain[planner]'`.")
         if not model.is_file():
             raise MissingPart(f"The model file of {name!r}", fix=f"Name a GGUF file that exists. {model}")
+        for one in adapters:
+            if not one.path.is_file():
+                raise MissingPart(f"The adapter file of {name!r}", fix=f"Make it again. {one.path}")
         self._name, self._model, self._config, self._clock = name, model, config, clock
-        self._child: _Child | None = _Child(model, config)
+        self._asking, self._adapters = asking, adapters
+        self._child: LlamaProcess | None = self._start()
 
     @property
     def name(self) -> str:
@@ -82,6 +64,11 @@ class LlamaPlanner:
         """Process id of the child, None while there is none."""
         return self._child.pid if self._child else None
 
+    @property
+    def template(self) -> str:
+        """Hash of the prompt's fixed text."""
+        return self._asking.template()
+
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`; a child that dies, hangs or cannot start becomes a finish reason.
 
@@ -89,9 +76,9 @@ class LlamaPlanner:
         """
         begun = self._clock()
         body = self._body(request)
-        child = self._child = self._child or _Child(self._model, self._config)
+        child = self._child = self._child or self._start()
         address, failure = child.address(self._config.timeout_s)
-        store = PrefixStore(self._config.prefixes, self._model, self._config.n_ctx, address, child.key)
+        store = self._store(child, address)
         if not (failure or child.asked):
             store.restore(request)
         loaded = self._clock()
@@ -103,7 +90,33 @@ class LlamaPlanner:
             store.save(request)
         timings = {"load": loaded - begun, **answer.figures, "total": self._clock() - begun}
         finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish
-        return Proposal(answer.text, finish, self._name, CONSTRAINED_BY, timings)
+        return Proposal(answer.text, finish, self._name, self._constrained_by(request), timings)
+
+    def tell(self, path: str, body: dict[str, Any]) -> dict[str, Any] | Answer:
+        """POST `body`, with the adapters, to `path` of the child's own interface; its answer, or why there is none."""
+        child = self._child = self._child or self._start()
+        address, failure = child.address(self._config.timeout_s)
+        if failure:
+            return failure
+        data = json.dumps(body | {"cache_prompt": False} | self._wearing()).encode()
+        reply = post(f"{address}{path}", data, key=child.key, timeout_s=self._config.timeout_s)
+        if isinstance(reply, Answer):
+            return reply
+        status, said = reply
+        return json.loads(said) if status == 200 else Answer("", protocol.ERROR, f"status {status}")
+
+    def question(self, request: PlanRequest) -> dict[str, Any]:
+        """The body of the chat request that asks `request`."""
+        beginning = self._asking.beginning(request)
+        given = [{"role": "assistant", "content": beginning}] if beginning else []
+        body: dict[str, Any] = {"messages": [*self._asking.messages(request), *given]}
+        if self._asking.grammar is not None:
+            body["grammar"] = self._asking.grammar(request.schema)
+        kept = self._asking.steady and not self._adapters
+        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": kept}
+        if self._by_chance(request):
+            limits |= {"temperature": 1.0, "seed": 1}
+        return body | limits | self._wearing()
 
     def close(self) -> None:
         """End the child process."""
@@ -111,89 +124,44 @@ class LlamaPlanner:
             self._child.close()
             self._child = None
 
+    def _start(self) -> LlamaProcess:
+        return LlamaProcess(self._model, self._config, self._adapters)
+
+    def _store(self, child: LlamaProcess, address: str) -> PrefixStore:
+        folder = self._config.prefixes if self._asking.steady else None
+        return PrefixStore(
+            folder, self._model, self._config.n_ctx, address, child.key, asking=self._asking, adapters=self._adapters
+        )  # fmt: skip
+
+    def _wearing(self) -> dict[str, Any]:
+        """All adapters of the process with their scales: an explicit list in each request, never a global switch."""
+        told = [{"id": number, "scale": one.scale} for number, one in enumerate(self._adapters)]
+        return {"lora": told} if told else {}
+
+    def _by_chance(self, request: PlanRequest) -> bool:
+        return request.refusal is not None and not self._asking.hears_refusals
+
+    def _constrained_by(self, request: PlanRequest) -> str:
+        engine = FREE_BY if self._asking.grammar is None else CONSTRAINED_BY
+        return f"{engine}; second shot by chance" if self._by_chance(request) else engine
+
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         try:
-            grammar = actions_grammar(request.schema)
+            body = self.question(request)
             jsonschema_rs.validator_for(request.schema)
         except (KeyError, TypeError, jsonschema_rs.ValidationError) as error:
             raise InvalidSetup("decoding schema", got=str(error), allowed="an object with action_sequence") from error
-        messages = [*render(request), {"role": "assistant", "content": header(request)}]
-        limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": True}
-        return {"messages": messages, "grammar": grammar, **limits}
+        return body
 
-    def _after(self, child: _Child, request: PlanRequest, answer: Answer) -> Answer:
+    def _after(self, child: LlamaProcess, request: PlanRequest, answer: Answer) -> Answer:
         """Put a lost child away, and refuse an answer that does not obey the grammar that was sent."""
         if answer.finish == protocol.ERROR and child.died():
             answer = Answer("", protocol.CRASHED)
         if answer.finish in {protocol.TIMEOUT, protocol.CRASHED} or not child.ready:
             self.close()
-        elif answer.finish == protocol.STOP and not _obeys(answer.text, request.schema):
+        elif answer.finish == protocol.STOP and self._asking.grammar and not _obeys(answer.text, request.schema):
             return Answer("", protocol.ERROR, "the grammar was not applied", answer.figures)
         return answer
-
-
-class _Child:
-    """The child process from its start to its end."""
-
-    def __init__(self, model: Path, config: LlamaConfig) -> None:
-        self.key = secrets.token_urlsafe(24)
-        self.asked = False
-        self._address = ""
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", str(_CHILD)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
-        )
-        settings = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads, "key": self.key}
-        settings["prefixes"] = f"{config.prefixes}/" if config.prefixes else ""
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # it died at once: `address` will say so
-            self._process.stdin.write(json.dumps(settings).encode() + b"\n")
-            self._process.stdin.flush()
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    @property
-    def ready(self) -> bool:
-        return bool(self._address)
-
-    def died(self) -> bool:
-        """Whether it has ended; a socket breaks a moment before its process is gone."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout=0.5)
-        return self._process.poll() is not None
-
-    def address(self, timeout_s: float) -> tuple[str, Answer | None]:
-        """Where the child listens, or why it does not; waits while it loads."""
-        if self._address:
-            return self._address, None
-        out = self._process.stdout
-        assert out is not None
-        if not select.select([out], [], [], timeout_s)[0]:
-            return "", Answer("", protocol.TIMEOUT)
-        line = out.readline()
-        if not line:
-            self._process.wait()
-            return "", Answer("", protocol.CRASHED)
-        told = json.loads(line)
-        self._address = told.get("address", "")
-        return self._address, None if self._address else Answer("", protocol.ERROR, told["error"])
-
-    def close(self) -> None:
-        """Close its input, which ends it; kill it when it does not answer to that."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        try:
-            self._process.wait(timeout=1.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process.stdout.close()
 
 
 def _obeys(text: str, schema: dict[str, Any]) -> bool:

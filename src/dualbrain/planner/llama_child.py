@@ -1,4 +1,4 @@
-"""The process that holds the model: llama.cpp on a loopback port, started and ended by `llama.py`.
+"""The process that holds the model: llama.cpp on a loopback port, started and ended by `llama_process.py`.
 
 It is a process of its own because llama.cpp aborts the whole process on some errors. It reads one line of settings from
 standard input, writes one line with its address (or the reason why it could not start) to standard output, and lives
@@ -57,6 +57,10 @@ def _start(settings: dict[str, Any]) -> Any:
     params.endpoint_slots = bool(settings["prefixes"])
     params.slot_save_path = settings["prefixes"]
     params.verbosity = 0
+    if settings["adapters"]:
+        params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(path, 1.0) for path in settings["adapters"]]
+        params.lora_init_without_apply = True  # each request says which of them act, and how much
+        params.cache_ram_mib = 0
     return xllamacpp.Server(params)
 
 

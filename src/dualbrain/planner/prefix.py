@@ -1,8 +1,9 @@
 """The model's state after the unchanging part of the prompt, kept on disk between processes.
 
 Reading the rules and examples costs a small machine a minute; restoring the state costs milliseconds (30 KB a token). A
-state is valid only for the same model, runtime and text, so the file is named by the hash of them all: nothing else can
-be found under that name. A server that cannot restore it reads the prompt as if there were none.
+state is valid only for the same model, adapters, scales, runtime and text, so the file is named by the hash of them
+all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). A server that
+cannot restore it reads the prompt as if there were none.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import json
 from importlib.metadata import version
 from pathlib import Path
 
+from dualbrain.planner.asking import FULL, Asking
 from dualbrain.planner.chat import post
-from dualbrain.planner.prompt import render
+from dualbrain.planner.llama_process import Worn
 from dualbrain.planner.request import PlanRequest
 
 _LIMIT_S = 20.0
@@ -23,8 +25,12 @@ _LIMIT_S = 20.0
 class PrefixStore:
     """Saves and restores slot 0 of the llama.cpp server at `address` in `folder`; does nothing without a folder."""
 
-    def __init__(self, folder: Path | None, model: Path, n_ctx: int, address: str, key: str) -> None:
+    def __init__(
+        self, folder: Path | None, model: Path, n_ctx: int, address: str, key: str, *, asking: Asking = FULL,
+        adapters: tuple[Worn, ...] = (),
+    ) -> None:  # fmt: skip
         self._folder, self._model, self._n_ctx, self._address, self._key = folder, model, n_ctx, address, key
+        self._asking, self._adapters = asking, adapters
 
     def restore(self, request: PlanRequest) -> bool:
         """Load the state for `request`, if there is one."""
@@ -48,8 +54,10 @@ class PrefixStore:
         if self._folder is None:
             return None
         state = self._model.stat()
-        model = [self._model.name, state.st_size, state.st_mtime_ns, self._n_ctx, version("xllamacpp")]
-        digest = hashlib.sha256(json.dumps([model, render(request)[:-1]]).encode()).hexdigest()[:24]
+        model: list[object] = [self._model.name, state.st_size, state.st_mtime_ns, self._n_ctx, version("xllamacpp")]
+        model += [[one.id, one.scale] for one in self._adapters]
+        prefix = self._asking.messages(request)[:-1]
+        digest = hashlib.sha256(json.dumps([model, prefix]).encode()).hexdigest()[:24]
         return self._folder / f"{self._model.stem}-{digest}.slot"
 
     def _tell(self, action: str, path: Path) -> bool:

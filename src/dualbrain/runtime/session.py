@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 
 from dualbrain import __version__, weights
+from dualbrain.adaptation.serving.adapted import AdaptedPlanner
+from dualbrain.adaptation.serving.opening import open_planner
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.site_file import read_site
 from dualbrain.errors import InvalidSetup
@@ -31,7 +33,7 @@ from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED, template_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.registry import DEFAULT_PLANNER, open_planner
+from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode, Passage
 from dualbrain.runtime.charted import open_map, with_places
 from dualbrain.runtime.consulting import consult
@@ -89,6 +91,8 @@ class RunConfig:
     """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
     static: bool = False
     """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
+    adapters: Path | None = None
+    """The registry of adapters; None: the folder `adapters` beside the ledger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +190,12 @@ class Session:
         prefixes = self.config.cache / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)
         key = environ.get("OPENAI_API_KEY", "")
-        return open_planner(self.config.planner, self.config.cache, key=key, prefixes=prefixes)
+        adapters = self.config.adapters or self.config.ledger.with_name("adapters")
+        registry = registry_of(self.body)
+        return open_planner(
+            self.config.planner, self.config.cache, adapters=adapters, robot=self.body.name, registry=registry.hash,
+            key=key, prefixes=prefixes,
+        )  # fmt: skip
 
     def run(self, onlooker: Onlooker) -> Finished:
         """Run the instruction; the run folder holds config, scene, recording and episode when this returns."""
@@ -277,10 +286,13 @@ class Session:
         )
 
     def _versions(self) -> dict[str, str]:
-        return {
+        versions = {
             "dualbrain": __version__, "kernel": kernel_hash(), "mujoco": metadata.version("mujoco"),
             "prompt": template_hash(), "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
         }  # fmt: skip
+        if isinstance(self.planner, AdaptedPlanner):
+            versions |= {"prompt": self.planner.template, "adapter": self.planner.card.id}
+        return versions
 
     def __enter__(self) -> Self:
         """The session itself."""

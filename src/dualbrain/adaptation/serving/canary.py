@@ -1,0 +1,142 @@
+"""Canaries: questions whose answers by an adapter were recorded, asked again of every process that should wear it.
+
+Serving engines are known to answer from the wrong adapter, or from none, without a word. Recorded and compared in the
+same runtime; the tokens must be the same, and so must be how sure each was: two adapters may say the same words, but
+hardly with the same probabilities. What follows a near-tie is not compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.adaptation.adapter_card import AdapterCard
+from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.planner.chat import Answer
+from dualbrain.planner.llama import LlamaPlanner
+from dualbrain.planner.short_prompt import render_short
+
+LONGEST = 32
+"""Tokens of an answer."""
+CLEAR = 0.05
+"""The least margin [nats] of what is compared: below, rounding may turn a token."""
+ALIKE = 0.1
+"""Mean difference of margins [nats] that is still the same adapter; the same process and file give 0."""
+AT_START = 1
+"""How many are asked when a process starts; all of them by `dualbrain adapters verify`."""
+SCENES = (
+    ("robot {robot}; holding nothing\nred_cube: object, free_finger_axis along, path_max_height none\n"
+     "blue_bowl: container\nperson: none\nplaces: table_left", "put the red cube in the blue bowl"),
+    ("robot {robot}; holding nothing\ngreen_can: object, free_finger_axis across, neighbour_along tall >6cm, "
+     "path_max_height tall\nwhite_tray: container\nperson: crossing\nplaces: shelf", "the green can goes on the tray"),
+    ("robot {robot}\nplaces: kitchen, window, desk\nstanding about: crate_7\nperson: none", "please go to the window"),
+    ("robot {robot}; holding nothing\nyellow_ball: object, near_edge, free_finger_axis along, path_max_height low\n"
+     "blue_bowl: container\nperson: none\nplaces: table_left", "bring the purple cup"),
+)  # fmt: skip
+
+
+class Canary(msgspec.Struct, frozen=True):
+    """One question of `SCENES` by number, and the answer up to its first near-tie: tokens and their margins [nats]."""
+
+    question: int
+    tokens: tuple[int, ...]
+    margins: tuple[float, ...]
+
+
+class Record(msgspec.Struct, frozen=True):
+    """What `adapter` answered in `runtime`."""
+
+    adapter: str
+    runtime: str
+    canaries: tuple[Canary, ...]
+
+
+class Watch:
+    """The canaries of one adapter in one runtime, kept in `folder`; recorded by the first process that is asked.
+
+    `below` makes a planner without the adapter: one that answers the same with and without has no effect, and is
+    refused when it is recorded.
+    """
+
+    def __init__(self, folder: Path, card: AdapterCard, runtime: str, below: Callable[[], LlamaPlanner]) -> None:
+        """Watch the adapter of `card`."""
+        name = hashlib.sha256(f"{card.id} {runtime}".encode()).hexdigest()[:32]
+        self.path = folder / f"{name}.json"
+        self._card, self._runtime, self._below = card, runtime, below
+
+    def __call__(self, planner: LlamaPlanner, most: int = AT_START) -> str:
+        """What is wrong with the answers of `planner`, "" if nothing is; at most `most` canaries are asked."""
+        known = self.record()
+        if known is None:
+            return self._begin(planner)
+        for canary in known.canaries[:most]:
+            if fault := _compare(canary, ask(planner, self._card, canary.question)):
+                return fault
+        return ""
+
+    def record(self) -> Record | None:
+        """What is recorded of this adapter in this runtime; a damaged record is none."""
+        try:
+            found = msgspec.json.decode(self.path.read_bytes(), type=Record)
+        except (OSError, msgspec.DecodeError):
+            return None
+        return found if (found.adapter, found.runtime) == (self._card.id, self._runtime) else None
+
+    def _begin(self, planner: LlamaPlanner) -> str:
+        """Record the canaries, the longest clear answer first."""
+        answers = [(number, ask(planner, self._card, number)) for number in range(len(SCENES))]
+        said = [(number, one) for number, one in answers if isinstance(one, Said)]
+        if not said:
+            return "no answer to any canary"
+        canaries = sorted((_clear(number, one) for number, one in said), key=lambda one: -len(one.tokens))
+        if not canaries[0].tokens:
+            return "no answer is clear enough to know it by"
+        if self._without_effect(canaries[0]):
+            return "it answers as if no adapter were worn"
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        record = Record(self._card.id, self._runtime, tuple(one for one in canaries if one.tokens))
+        write_durably(self.path, msgspec.json.format(msgspec.json.encode(record), indent=2))
+        return ""
+
+    def _without_effect(self, canary: Canary) -> bool:
+        below = self._below()
+        try:
+            return not _compare(canary, ask(below, self._card, canary.question))
+        finally:
+            below.close()
+
+
+def ask(planner: LlamaPlanner, card: AdapterCard, number: int) -> Said | Answer:
+    """The answer to one canary question, after the beginning that every answer has."""
+    scene, words = SCENES[number]
+    turns = [
+        {"role": turn["role"], "content": turn["content"]}
+        for turn in render_short(
+            scene.format(robot=card.robot), words, robot=card.robot, registry=card.registry, contract_id="c-0001"
+        )
+    ]
+    context = f'{{"id":"c-0001","context":{{"robot":"{card.robot}","registry":"{card.registry}"}},"action_sequence'
+    return say(planner, [*turns, {"role": "assistant", "content": context}], longest=LONGEST)
+
+
+def _clear(number: int, said: Said) -> Canary:
+    """`said` up to its first token that is not clearly the best."""
+    count = next((place for place, margin in enumerate(said.margins) if margin < CLEAR), len(said.margins))
+    return Canary(number, said.tokens[:count], said.margins[:count])
+
+
+def _compare(canary: Canary, said: Said | Answer) -> str:
+    """How `said` differs from what was recorded, "" if it does not."""
+    if isinstance(said, Answer):
+        return f"canary {canary.question} was not answered ({said.finish} {said.detail})".strip()
+    count = len(canary.tokens)
+    if said.tokens[:count] != canary.tokens:
+        return f"canary {canary.question} was answered otherwise: {said.text[-60:]!r}"
+    gaps = [abs(now - then) for now, then in zip(said.margins[:count], canary.margins, strict=True)]
+    if (gap := sum(gaps) / max(1, count)) > ALIKE:
+        return f"canary {canary.question} was answered alike, but its tokens are {gap:.2g} nats from what is recorded"
+    return ""

@@ -1,0 +1,71 @@
+"""What an adapter sits on: the untouched GGUF, and on that perhaps another adapter that comes with dualbrain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualbrain.adaptation.adapter_card import AdapterCard, read_adapter_card
+from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.errors import InvalidSetup
+from dualbrain.weights import MANIFEST, find_file, locate
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One adapter as it lies in its folder, verified."""
+
+    folder: Path
+    card: AdapterCard
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """A base and the adapters on it, the lowest first; all are worn at once, each at full strength.
+
+    W x + B₁A₁x + B₂A₂x: an adapter that was fitted on a base that wears another needs that other when it serves.
+    """
+
+    base: str
+    gguf: Path
+    layers: tuple[Layer, ...]
+
+    @property
+    def top(self) -> AdapterCard:
+        """The card of the adapter that is served."""
+        return self.layers[-1].card
+
+    @property
+    def below(self) -> Stack:
+        """What the served adapter was fitted on."""
+        return Stack(self.base, self.gguf, self.layers[:-1])
+
+
+def stack_of(folder: Path, cache: Path) -> Stack:
+    """The adapter in `folder` and everything it sits on, each found to be what its card names.
+
+    Raises `InvalidSetup` for changed weights or a base of another hash, `UnknownName`, `MissingPart`, `WrongHash`.
+    """
+    layers = [Layer(folder, read_adapter_card(folder))]
+    while layers[0].card.base in packaged_names():
+        beneath = packaged_folder(layers[0].card.base)
+        layers.insert(0, Layer(beneath, read_adapter_card(beneath)))
+        _require(layers[1].card, layers[0].card.id)
+        if len(layers) > len(packaged_names()) + 1:
+            raise InvalidSetup("packaged adapter", got="one that sits on itself", allowed="one that sits on a model")
+    lowest = layers[0].card
+    _require(lowest, find_file(lowest.base).sha256)
+    return Stack(lowest.base, locate(lowest.base, cache), tuple(layers))
+
+
+def base_of(place: tuple[str, str]) -> str:
+    """The name of the base whose hash stands in a place of the registry, "" if nobody knows it."""
+    known = {file.sha256: file.name for file in MANIFEST.values()}
+    known |= {read_adapter_card(packaged_folder(name)).id: name for name in packaged_names()}
+    return known.get(place[1], "")
+
+
+def _require(card: AdapterCard, found: str) -> None:
+    if card.base_sha256 != found:
+        fix = f"The adapter {card.id[:16]} was made for another {card.base}: fit it anew."
+        raise InvalidSetup(f"hash of the base {card.base!r}", got=found, allowed=card.base_sha256, fix=fix)

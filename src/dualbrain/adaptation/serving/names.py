@@ -1,0 +1,42 @@
+"""From the name of an adapter to its folder: by id, by rank, by the name it was packaged under, by its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dualbrain.adaptation.adapters import BARE, Adapters
+from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.errors import InvalidSetup
+
+PREFIX, CHAMPION = "adapter:", "champion"
+
+
+def is_adapter(name: str) -> bool:
+    """Whether a planner's name means an adapter."""
+    return name.startswith(PREFIX) or name in packaged_names()
+
+
+def folder_of(name: str, adapters: Adapters, robot: str = "") -> Path:
+    """Where the adapter that `name` means lies.
+
+    `adapter:ID` (the beginning of an id), `adapter:champion` (of `robot`), `adapter:NAME` or NAME of a packaged one,
+    `adapter:PATH` of a folder that a fit made. Raises `UnknownName`, `InvalidSetup`.
+    """
+    short = name.removeprefix(PREFIX)
+    if short in packaged_names():
+        return packaged_folder(short)
+    if short == CHAMPION:
+        return adapters.folder / champion_of(adapters, robot)
+    if "/" in short:
+        return Path(short)
+    return adapters.folder / adapters.find(short)
+
+
+def champion_of(adapters: Adapters, robot: str) -> str:
+    """The adapter that serves for `robot`: of several bases, that which was promoted last."""
+    places = [entry.place for entry in adapters.journal() if entry.place[0] == robot]
+    for place in reversed(places):
+        if (serving := adapters.champion(place)) != BARE:
+            return serving
+    fix = "Promote one: `dualbrain adapters measure`, then `dualbrain adapters promote`."
+    raise InvalidSetup(f"champion of {robot or 'no robot'}", got="none", allowed="a promoted adapter", fix=fix)

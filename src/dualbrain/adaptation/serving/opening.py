@@ -1,0 +1,78 @@
+"""From a name to a planner: models and servers as the planner's room has them, and adapters on top."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.serving.adapted import AdaptedPlanner
+from dualbrain.adaptation.serving.canary import Watch
+from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
+from dualbrain.adaptation.serving.gguf_cache import worn
+from dualbrain.adaptation.serving.layers import Stack, stack_of
+from dualbrain.adaptation.serving.names import PREFIX, folder_of, is_adapter
+from dualbrain.adaptation.serving.packaged import packaged_names
+from dualbrain.adaptation.serving.speaking import runtime_of
+from dualbrain.errors import UnknownName
+from dualbrain.planner import registry as plain
+from dualbrain.planner.asking import SHORT, Asking
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.protocol import Planner
+
+N_CTX = 4096
+"""Tokens of context: the longest short prompt with its exemplars and the longest answer fit."""
+CANARIES = "canaries"
+
+
+def open_planner(
+    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", key: str = "",
+    dialect: str = "openai", threads: int = 1, timeout_s: float = 600.0, prefixes: Path | None = None,
+) -> Planner:  # fmt: skip
+    """The planner called `name`, ready to propose.
+
+    `adapter:ID`, `adapter:champion`, the name of a packaged adapter; all else as `planner.registry.open_planner` has
+    it, unchanged. `adapters` is the folder of the registry. With `robot` (and the hash `registry` of its vocabulary) an
+    adapter that was not taught them is refused before anything is started. Raises `InvalidSetup`, `UnknownName`,
+    `MissingPart`, `WrongHash`, `NotItself`.
+    """
+    if is_adapter(name):
+        config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
+        return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, config=config)
+    try:
+        return plain.open_planner(
+            name, cache, key=key, dialect=dialect, threads=threads, timeout_s=timeout_s, prefixes=prefixes
+        )
+    except UnknownName as error:
+        known = (*plain.planner_names(), *packaged_names(), f"{PREFIX}ID", f"{PREFIX}champion")
+        raise UnknownName("planner", name, known, owner="this installation") from error
+
+
+def open_adapter(
+    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", config: LlamaConfig | None = None
+) -> AdaptedPlanner:
+    """The adapter called `name` as a planner; its canary has been asked when this returns."""
+    stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
+    card = stack.top
+    require_prompt(card)
+    if robot:
+        require_fit(card, robot, registry)
+    chosen = config or LlamaConfig(n_ctx=N_CTX)
+    watch = watch_of(stack, cache, adapters, chosen)
+    return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack)), card, watch)
+
+
+def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", asking: Asking = SHORT) -> LlamaPlanner:
+    """A process of the stack's model with its adapters, asked by `asking`."""
+    return LlamaPlanner(called or stack.base, stack.gguf, config, asking=asking, adapters=worn(stack, cache))
+
+
+def watch_of(stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> Watch:
+    """The canaries of the adapter on top."""
+    runtime = runtime_of(stack.gguf)
+    return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config))
+
+
+def author(name: str, stack: Stack) -> str:
+    """What is recorded as the author: the name of a packaged adapter, else base and id."""
+    short = name.removeprefix(PREFIX)
+    return short if short in packaged_names() else f"{stack.top.base}+{stack.top.id[:16]}"

@@ -1,0 +1,63 @@
+"""How a request is put to a model: its messages, the beginning of the answer that is given, what binds the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dualbrain.planner.grammar import actions_grammar, tail_grammar
+from dualbrain.planner.prompt import Message, header, render, template_hash
+from dualbrain.planner.request import PlanRequest
+from dualbrain.planner.short_prompt import render_short, short_template_hash
+
+CONSTRAINED_BY = "llguidance in llama.cpp (xllamacpp); header given"
+"""The id and context of a contract are given to the model as the beginning of its answer: they are fixed anyway, and
+reading them is four times as fast as writing them."""
+FREE_BY = "nothing (free decoding)"
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
+
+    `hears_refusals`: a refusal stands in the second prompt. Where it does not, the second shot is drawn by chance
+    (temperature 1, a fixed seed), for the most probable answer has just been refused. `steady`: the prompt begins alike
+    for every question, so that a server may keep what it has read of it.
+    """
+
+    messages: Callable[[PlanRequest], list[Message]]
+    beginning: Callable[[PlanRequest], str]
+    grammar: Callable[[dict[str, Any]], str] | None
+    template: Callable[[], str]
+    hears_refusals: bool
+    steady: bool
+
+
+def short_messages(request: PlanRequest) -> list[Message]:
+    """The prompt that adapters are taught on."""
+    return render_short(
+        request.scene, request.instruction, robot=request.robot, registry=request.registry_hash,
+        contract_id=request.contract_id,
+    )  # fmt: skip
+
+
+def short_header(request: PlanRequest) -> str:
+    """The beginning of every right answer, up to a place where no tokenizer joins what follows to what was given.
+
+    After a letter comes `":[{"`, which may be one token or three: an adapter was taught the whole text, so the cut must
+    be where its tokens are cut anyway.
+    """
+    return header(request).removesuffix('":')
+
+
+FULL = Asking(render, header, actions_grammar, template_hash, hears_refusals=True, steady=True)
+"""Rules, skills and examples in the prompt: for a model that was taught nothing of this."""
+SHORT = Asking(
+    short_messages, short_header, tail_grammar, short_template_hash, hears_refusals=False, steady=False
+)  # fmt: skip
+"""For an adapted model."""
+FREE = Asking(
+    short_messages, lambda request: "", None, short_template_hash, hears_refusals=False, steady=False
+)  # fmt: skip
+"""An adapted model left to itself: what it complies with then, it has learnt."""

@@ -1,0 +1,52 @@
+"""A kept state is found only by who left it: same model, adapters, scales, context size, template and beginning."""
+
+from pathlib import Path
+
+import pytest
+
+from dualbrain.planner.asking import FULL, SHORT
+from dualbrain.planner.llama_process import Worn
+from dualbrain.planner.prefix import PrefixStore
+from dualbrain.records import Recall
+from tests.planner.fake_server import says, serve
+from tests.planner.questions import exemplar, request
+
+pytest.importorskip("xllamacpp")
+A, B = Worn(Path("a.gguf"), "a" * 64), Worn(Path("b.gguf"), "b" * 64)
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "model.gguf"
+    path.write_bytes(b"weights")
+    return path
+
+
+def store(model, address="", *, n_ctx=2048, adapters=(A,), asking=FULL):
+    return PrefixStore(model.parent, model, n_ctx, address, "key", asking=asking, adapters=adapters)
+
+
+def test_every_part_of_it_names_another_file(model):
+    first = store(model).path(request())
+    assert store(model).path(request("another instruction")) == first  # the last turn is not part of the prefix
+    others = [
+        store(model, adapters=()), store(model, adapters=(B,)), store(model, adapters=(A, B)),
+        store(model, adapters=(B, A)), store(model, adapters=(Worn(A.path, A.id, 0.5),)), store(model, n_ctx=4096),
+        store(model, asking=SHORT),
+    ]  # fmt: skip
+    found = [one.path(request()) for one in others]
+    found.append(store(model).path(request(recall=Recall(exemplars=(exemplar(),)))))
+    model.write_bytes(b"other weights")
+    found.append(store(model).path(request()))
+    assert len({first, *found}) == len(found) + 1
+
+
+def test_a_state_of_another_adapter_is_not_restored(model):
+    with serve(says(b"{}")) as server:
+        address = server.url.removesuffix("/v1")
+        store(model, adapters=(A,)).path(request()).write_bytes(b"state")
+        assert not store(model, address, adapters=(B,)).restore(request())
+        assert not store(model, address, adapters=()).restore(request())
+        assert server.asked == []
+        assert store(model, address, adapters=(A,)).restore(request())
+    assert len(server.asked) == 1
