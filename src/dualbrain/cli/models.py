@@ -33,7 +33,8 @@ def fetch(*names: str) -> int:
     Parameters
     ----------
     names
-        Names from `dualbrain models list`, or of an adapter that comes with dualbrain (its base); the URL of a server or a GGUF file needs no weights and is passed over.
+        Names from `dualbrain models list`, or of an adapter that comes with dualbrain (its base);
+        the URL of a server or a GGUF file needs no weights and is passed over.
     """
     for name in names:
         if "://" not in name and not name.endswith(".gguf"):
