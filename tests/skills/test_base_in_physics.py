@@ -31,6 +31,15 @@ def test_a_person_who_crosses_is_let_pass():
     assert hall.monitor.violations() == ()
 
 
+@pytest.mark.parametrize(("seed", "speed"), [(11, 0.4), (47, 0.2)])
+def test_who_starts_to_walk_while_the_base_is_in_the_way_is_not_stood_in_the_way_of(seed, speed):
+    """The base goes on, and makes haste where its contract is slow; one that stopped was run into."""
+    hall = Hall("crossing", seed)
+    outcome = hall.run(drive_to("shelf", speed))
+    assert outcome.kind == "succeeded", outcome.reason
+    assert hall.monitor.violations() == ()
+
+
 @pytest.mark.parametrize("heading", [1.5, -3.0])
 def test_turning_and_stopping(heading):
     hall = Hall()

@@ -14,7 +14,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
 from dualbrain.records import SceneObject
 from dualbrain.skills.floor_path import floor_path
-from dualbrain.skills.person import may_be_over
+from dualbrain.skills.person import room_left
 from dualbrain.skills.progress import Progress
 from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status
 
@@ -35,10 +35,14 @@ PATIENCE = 6.0
 """No progress for this long [s] ends a drive; people are waited for apart."""
 PERSON_PATIENCE = 30.0
 """How long [s] a skill waits for a person before it says so and fails."""
-NEAR_PERSON = 0.85
-"""Whoever will come this near to where the base is about to be is let pass [m]."""
+BERTH = 0.4
+"""Going on must leave this much between the footprint and whoever passes [m], or the base lets them pass."""
+YIELD_SPEED = 0.5
+"""How fast the base gets out of a person's way [m/s], whatever speed it was asked to drive at."""
 LOOK_AHEAD = 3.0
-"""How far ahead people are believed to go on as they do [s]."""
+"""How far ahead people are believed to go on as they do, at least [s]."""
+PASSING = 2.2
+"""The way [m] on which somebody is passed: until the base has driven it, they are believed to go on."""
 AGAIN = 1.0
 """A new way is looked for this often while driving [s]."""
 
@@ -100,15 +104,16 @@ class Chassis:
             away = float(np.linalg.norm(goal - here))
             if away < ARRIVED:
                 return (yield from self.come_to_rest("drive"))
-            if self._person_ahead(path, here):
-                if why := (yield from self._wait(path)):
+            pace = self._pace(path, here, speed)
+            if pace == 0.0:
+                if why := (yield from self._wait(path, speed)):
                     return why
                 progress = self._progress(path, speed)
             if self.senses.now - looked > AGAIN:
                 path, looked = floor_path(self.senses.scene, here, goal, self.radius) or path, self.senses.now
             if why := progress.stuck(self.senses.patience, away + 0.05 * abs(_turn(heading, path, here))):
                 return Ending(Status.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal")
-            yield self._nominal(self._steer(path, here, heading, away, speed, rate), "drive")
+            yield self._nominal(self._steer(path, here, heading, away, pace, rate), "drive")
 
     def turn(self, heading: float, rate: float) -> Part:
         """Turn on the spot to `heading` [rad] at up to `rate` [rad/s], the shorter way."""
@@ -157,18 +162,31 @@ class Chassis:
         length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(path))
         return Progress(self.senses.patience, limit=20.0 + 4.0 * length / speed, patience=PATIENCE)
 
-    def _person_ahead(self, path: Sequence[Array], here: Array) -> bool:
-        """Whether somebody will be near where the base is about to be."""
+    def _pace(self, path: Sequence[Array], here: Array, speed: float) -> float:
+        """How fast to go on [m/s]: `speed` where that leaves everybody their berth, else 0 to let them pass.
+
+        Who stopped in the middle of somebody's way would be run into: there the base goes on, and makes haste.
+        """
         scene, now = self.senses.scene, self.senses.now
         if not any(thing.role == "person" for thing in scene.objects):
-            return False
-        spots = [_along(path, here, reach) for reach in (0.5, 1.0)]
-        return any(may_be_over(scene, np.array([*spot, 0.0]), LOOK_AHEAD, NEAR_PERSON, now) for spot in spots)
+            return speed
+        horizon, berth = max(LOOK_AHEAD, PASSING / speed), self.radius + BERTH
+        moving = float(self.senses.state.v[0])
 
-    def _wait(self, path: Sequence[Array]) -> Part:
-        """Stand until the way ahead is clear of people; the filter may still back away."""
+        def going(pace: float) -> float:
+            late = max(0.0, pace - moving) / float(self._brake[0])
+            return room_left(scene, lambda t: _along(path, here, pace * max(0.0, t - late)), horizon, now)
+
+        if going(speed) > berth:
+            return speed
+        standing = room_left(scene, lambda t: here, horizon, now)
+        haste = max(speed, YIELD_SPEED)
+        return 0.0 if standing > berth or standing >= going(haste) else haste
+
+    def _wait(self, path: Sequence[Array], speed: float) -> Part:
+        """Stand until going on is the better answer; the filter may still back away."""
         start = self.senses.now
-        while self._person_ahead(path, self.pose[0]):
+        while self._pace(path, self.pose[0], speed) == 0.0:
             if self.senses.now - start > PERSON_PATIENCE:
                 return Ending(Status.FAILED, f"drive: a person stayed in the way for {PERSON_PATIENCE:.0f} s")
             yield self.rest("wait")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,8 @@ Array = NDArray[np.float64]
 
 HEADROOM = 0.05
 """Whoever passes this far below the lowest point of the tool is no threat [m]."""
+LOOK_EVERY = 0.2
+"""Step of time in which two ways are compared [s]."""
 
 
 def may_be_over(scene: Scene, spot: Array, horizon: float, reach: float, now: float) -> bool:
@@ -31,6 +35,26 @@ def threat(scene: Scene, spot: Array, lowest: float, horizon: float, reach: floa
         if thing.role == "person" and _sweeps(thing, spot, horizon, reach, now)
     ]
     return max(tops) if tops and lowest < max(tops) else None
+
+
+def room_left(scene: Scene, way: Callable[[float], Array], horizon: float, now: float) -> float:
+    """Least distance [m] in the plane between any person, who goes on as now, and whoever is at `way`(t) (2,) at t [s].
+
+    Infinite when nobody is there.
+    """
+    least = float("inf")
+    times = np.arange(0.0, horizon, LOOK_EVERY)
+    spots = np.array([way(t) for t in times.tolist()])
+    for person in scene.objects:
+        if person.role == "person":
+            velocity = np.asarray(person.velocity)
+            start = np.asarray(person.pose.position) + velocity * (now - person.stamp)
+            radius, half = _axis(person)
+            off = spots - (start[:2] + times[:, None] * velocity[:2])
+            along = np.clip(off @ half / (half @ half + 1e-12), -1.0, 1.0)
+            apart = np.linalg.norm(off - along[:, None] * half, axis=1) - radius - person.error
+            least = min(least, float(apart.min()))
+    return least
 
 
 def _sweeps(person: SceneObject, spot: Array, horizon: float, reach: float, now: float) -> bool:
