@@ -18,8 +18,9 @@ CARD, WEIGHTS = "adapter.json", "adapter_model.safetensors"
 class AdapterCard(msgspec.Struct, frozen=True):
     """`id` is the SHA-256 of the weights: never given to other weights. `base` and `base_sha256` name what it sits on.
 
-    It is of use with this `robot`, `registry` (vocabulary) and `prompt` (template) only. `dataset` is the hash of what
-    it was taught, `sources` counts who proposed that; `bootstrapped` is true if it was anybody but the base itself.
+    It is of use with this `robot`, `registry` (vocabulary) and `prompt` (template) only, and with the vocabularies of
+    further robots that it was taught, `also`, by name. `dataset` is the hash of what it was taught, `sources` counts
+    who proposed that; `bootstrapped` is true if it was anybody but the base itself.
     `held_out` is what the fit saw, in torch and on few questions: no measure to promote it by.
     """
 
@@ -37,6 +38,7 @@ class AdapterCard(msgspec.Struct, frozen=True):
     held_out: HeldOut | None
     config: AdaptConfig
     versions: dict[str, str]
+    also: dict[str, str] = {}
 
 
 def weights_id(folder: Path) -> str:

@@ -25,7 +25,7 @@ class DatasetCard(msgspec.Struct, frozen=True):
 
     `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
     `merged` those that a near-duplicate stands for. `sources` counts the samples by who proposed them. `prompt` is the
-    hash of the prompt's template, `registry` that of the vocabulary.
+    hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots in it, by name.
     """
 
     hash: str
@@ -48,6 +48,7 @@ class DatasetCard(msgspec.Struct, frozen=True):
     most_repeats: int
     share_held_out: float
     salt: str
+    also: dict[str, str] = {}
 
 
 class Dataset(msgspec.Struct, frozen=True):

@@ -9,16 +9,21 @@ BETTER = 0.99
 
 
 class HeldOut(msgspec.Struct, frozen=True):
-    """What held-out questions gave at `step`: share of compliant free answers, mean cross-entropy [nats/token]."""
+    """What held-out questions gave at `step`: mean cross-entropy [nats/token], share of compliant free answers.
+
+    The share is None where nothing was asked.
+    """
 
     step: int
-    compliance: float
+    compliance: float | None
     loss: float
 
     def beats(self, other: HeldOut | None) -> bool:
         """More compliant, or as compliant at a loss that is lower by 1 %: form comes first, values follow later."""
-        if other is None or self.compliance != other.compliance:
-            return other is None or self.compliance > other.compliance
+        if other is None:
+            return True
+        if self.compliance is not None and other.compliance is not None and self.compliance != other.compliance:
+            return self.compliance > other.compliance
         return self.loss < BETTER * other.loss
 
 

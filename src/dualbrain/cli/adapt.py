@@ -97,16 +97,12 @@ def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, js
     if dataset.card.registry != registry.hash:
         got, fix = dataset.card.registry, "The vocabulary has changed since: choose anew, with another --out."
         raise InvalidSetup("registry of the data set", got=got, allowed=registry.hash, fix=fix)
-    try:
-        from dualbrain.adaptation.fitting.night import Base, adapt
-    except ModuleNotFoundError as error:
-        fix = "Install it with `pip install 'dualbrain[adapt]'`."
-        raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+    night = adapt_with_torch()
     file, path = weights.find_file(base), weights.locate(base, cache())
     account = Account()
-    card = adapt(
-        dataset, dials, Base(base, path, file.sha256), gate_judge(registry), folder, cache=cache(),
-        clock=time.monotonic, tell=lambda progress: account.print(_line(progress)),
+    card = night.adapt(
+        dataset, dials, night.Base(base, path, file.sha256), gate_judge(registry), folder, cache=cache(),
+        clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
     )  # fmt: skip
     registry_of_adapters().add(folder / "adapter", now=time.time())
     account.print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
@@ -115,11 +111,22 @@ def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, js
     return Exit.SUCCESS
 
 
-def _line(progress: Any) -> str:
+def adapt_with_torch() -> Any:
+    """What fits adapters; raises `MissingPart` where the extra is not installed."""
+    try:
+        from dualbrain.adaptation.fitting import night
+    except ModuleNotFoundError as error:
+        fix = "Install it with `pip install 'dualbrain[adapt]'`."
+        raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+    return night
+
+
+def step_words(progress: Any) -> str:
     """One step for a person."""
     words = f"step {progress.step}/{progress.steps}  loss {progress.cross_entropy:.3f}  KL {progress.divergence:.4f}"
     if progress.held_out is not None:
-        words += f"  held out: {progress.held_out.compliance:.0%} compliant, loss {progress.held_out.loss:.3f}"
+        asked, loss = progress.held_out.compliance, progress.held_out.loss
+        words += f"  held out: {'' if asked is None else f'{asked:.0%} compliant, '}loss {loss:.3f}"
     return f"{words}  {progress.seconds_left / 60.0:.1f} min left"
 
 

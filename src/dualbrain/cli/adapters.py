@@ -50,7 +50,7 @@ def list_adapters(*, json: Flag = False) -> int:
         return Exit.SUCCESS
     table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
     for card in cards:
-        seen = "-" if card.held_out is None else f"{card.held_out.compliance:.0%}"
+        seen = "-" if card.held_out is None or card.held_out.compliance is None else f"{card.held_out.compliance:.0%}"
         base = card.base + (", bootstrapped" if card.bootstrapped else "")
         table.add_row(card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-")
     Console().print(table)

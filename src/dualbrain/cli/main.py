@@ -99,6 +99,7 @@ for _name, _function, _help in (
     ("export", "export", "Copy an adapter to a folder that peft and vLLM load."),
 ):
     adapters.command(f"dualbrain.cli.adapters:{_function}", name=_name, help=_help)
+adapters.command("dualbrain.cli.adapters_make:make", name="make", help="Make a shipped adapter again.")
 
 for verb, function, words in (
     ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "

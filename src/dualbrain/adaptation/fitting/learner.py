@@ -17,8 +17,8 @@ from dualbrain.adaptation.config import FitDials
 from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
 from dualbrain.errors import InvalidSetup
 
-EXACT = 1e-3
-"""How far logits made from hidden states may be from the model's own."""
+EXACT = {torch.float32: 1e-3, torch.bfloat16: 2.0**-7}
+"""How far logits made from hidden states may be from the model's own, as a part of the largest: rounding only."""
 
 
 class Learner:
@@ -63,8 +63,8 @@ class Learner:
         own = self.base(input_ids=batch.ids, attention_mask=batch.mask, use_cache=False).logits
         last = len(sample.contract)
         theirs = own[0, len(sample.prompt) - 1 :][:last].float()
-        ours = (hidden @ self.head.T).float()
-        if (gap := float((ours - theirs).abs().max())) > EXACT * (1.0 + float(theirs.abs().max())):
+        ours = hidden.float() @ self.head.float().T
+        if (gap := float((ours - theirs).abs().max())) > EXACT[self.head.dtype] * (1.0 + float(theirs.abs().max())):
             fix = "Choose a base whose last layer is one plain matrix."
             raise InvalidSetup("logits of the base", got=f"{gap:.3g} away from hidden·headᵀ", allowed="equal", fix=fix)
 

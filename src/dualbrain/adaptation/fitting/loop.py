@@ -108,7 +108,7 @@ class Fit:
 
     def _learn(self, step: int) -> tuple[float, float]:
         """One optimiser step; its mean cross-entropy and divergence [nats/token]."""
-        dials, rows = self._config.fit, self._plan[step - 1]
+        dials, rows = self._config.fit, self._by_length(self._plan[step - 1])
         tokens = sum(len(self._taught.train[row].contract) for row in rows)
         cross_entropy = divergence = 0.0
         for start in range(0, len(rows), dials.at_once):
@@ -122,6 +122,11 @@ class Fit:
         if not math.isfinite(norm):
             raise Diverged(step, f"gradient ({norm})")
         return cross_entropy, divergence
+
+    def _by_length(self, rows: Sequence[int]) -> list[int]:
+        """`rows` with the shortest first: samples that are computed together then need little padding."""
+        train = self._taught.train
+        return sorted(rows, key=lambda row: len(train[row].prompt) + len(train[row].contract))
 
     def _part(self, rows: Sequence[int], tokens: int) -> Loss:
         """The share that some samples have in the loss of a step of `tokens` tokens."""
@@ -149,10 +154,12 @@ class Fit:
             write_durably(self._folder / BEST, save(self._learner.adapter()))
         return found
 
-    def _compliance(self) -> float:
-        """The share of sound free answers to some held-out questions, evenly chosen; 0 if none is to be asked."""
+    def _compliance(self) -> float | None:
+        """The share of sound free answers to some held-out questions, evenly chosen; None if none is to be asked."""
         every = self._taught.held_out
         count = min(len(every), self._config.fit.ask_at_most)
+        if not count:
+            return None
         rows = [i * len(every) // count for i in range(count)]
         most = int(ROOM * max(len(one.contract) for one in self._taught.train))
         answers: list[str] = []

@@ -59,7 +59,7 @@ def adapt(
     card = AdapterCard(
         weights_id(folder / ADAPTER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
         told.sources, proposed_by_others(told.sources, base.name), str(dtype).removeprefix("torch."), fit.step, found,
-        config, {name: metadata.version(name) for name in ("torch", "transformers", "peft")},
+        config, {name: metadata.version(name) for name in ("torch", "transformers", "peft")}, told.also,
     )  # fmt: skip
     write_card(card, folder / ADAPTER)
     return card

@@ -1,0 +1,28 @@
+"""What may be taught and what is kept for measuring, fixed before anything was fitted."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Part = Literal["teach", "check", "test"]
+"""Taught; asked while fitting, to tell when to stop; never shown to a fit, nor used to choose anything in it."""
+
+SEEDS: dict[Part, range] = {
+    "teach": range(10_000, 19_000),
+    "check": range(19_000, 20_000),
+    "test": range(20_000, 21_000),
+}
+"""Seeds of the scenes of each part; those of all other measurements are below 10 000."""
+HELD_OUT_FAMILY = "edge"
+"""No scene of this task family is taught or checked with."""
+HELD_OUT_CATEGORIES = frozenset({"carton", "bottle"})
+"""Nothing of these categories stands in a scene that is taught or checked with."""
+WORDINGS = "2cf50b750cdf7214"
+"""Hash of the world's wordings, whose held-out sentences only the part "test" uses."""
+LESSONS_SHA256 = "5f27ba5cc34231c2ac00514f31aa3ae6d6c976275dfd337c0c8fa8e9c1e7d677"
+"""Of `data/lessons.toml`: skeletons, words for what is not there, and sentences, held-out ones among them."""
+
+
+def may_stand(part: Part, family: str, categories: frozenset[str]) -> bool:
+    """Whether a scene of `family` with things of these `categories` may be used for `part`."""
+    return part == "test" or (family != HELD_OUT_FAMILY and not categories & HELD_OUT_CATEGORIES)

@@ -1,0 +1,98 @@
+"""Where lessons are given: scenes from the catalogue's generators, seen as the robot would see them at the start.
+
+Nothing moves here: a contract is shown if the gate accepts it in that scene, whatever would become of it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from dualbrain.adaptation.lessons.kinds import Speech, book, own_sentences
+from dualbrain.adaptation.lessons.lesson import Setting, lesson
+from dualbrain.adaptation.lessons.split import SEEDS, WORDINGS, Part, may_stand
+from dualbrain.adaptation.sample import Sample
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Accepted
+from dualbrain.embodiment.body import load_body
+from dualbrain.errors import WrongHash
+from dualbrain.runtime.desk import limb_at_home
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.summary import summarise
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
+from dualbrain.world.catalogue import mobile
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.rooms import ROOMS, make_room
+from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.world.scenes import ALL_FAMILIES, make_scene
+from dualbrain.world.wordings import kind_of, kinds, spoken, wordings, wordings_hash
+
+ROBOTS = {"panda": 0.6, "ur5e": 0.2, "base": 0.2}
+"""Whose language is taught, and how often."""
+LONGEST = 1500
+"""Characters of question and answer that are taught; the longest sixth costs as much time as the shortest half."""
+
+
+def lessons(count: int, part: Part, seed: int = 0, robots: dict[str, float] = ROBOTS) -> tuple[Sample, ...]:
+    """`count` lessons of `part`, no question twice; the same arguments give the same lessons."""
+    rng = np.random.default_rng([seed, *part.encode()])
+    found: dict[str, Sample] = {}
+    names, shares = list(robots), np.array(list(robots.values()))
+    while len(found) < count:
+        robot = str(rng.choice(names, p=shares / shares.sum()))
+        spec = draw_scene(robot, part, rng)
+        one = lesson(setting(spec), book(), speech(mobile(robot), part), rng)
+        if one is not None and (part == "test" or length(one) <= LONGEST):
+            found.setdefault(str(one.prompt[-1]), one)
+    return tuple(found.values())
+
+
+def length(sample: Sample) -> int:
+    """Characters of question and answer."""
+    return len(sample.prompt[-1]["content"]) + len(sample.contract)
+
+
+def draw_scene(robot: str, part: Part, rng: np.random.Generator, families: tuple[str, ...] = ()) -> SceneSpec:
+    """A scene of `part` for `robot`, of one of `families`; by default of any that the part may use."""
+    seeds, choice = SEEDS[part], families or tuple(ROOMS if mobile(robot) else ALL_FAMILIES)
+    while True:
+        family, seed = choice[int(rng.integers(len(choice)))], int(rng.integers(seeds.start, seeds.stop))
+        spec = (make_room if mobile(robot) else make_scene)(family, seed, robot)
+        if may_stand(part, family, frozenset(thing.category for thing in spec.things)):
+            return spec
+
+
+def setting(spec: SceneSpec) -> Setting:
+    """The scene as it would be perceived at the start, with the gate that stands before the robot there."""
+    body, registry = load_body(spec.robot), vocabulary(spec.robot)
+    scene = Perception(spec, Noise(), np.random.default_rng(spec.seed)).look(open_plant(spec, body, visuals=False))
+    names = scene_names(scene)
+    gate = Gate(registry, grants(registry), scene_rules(scene, limb_at_home(spec.robot, scene)))
+
+    def accepts(data: bytes) -> bool:
+        return isinstance(gate.check(data, names=names, principal=PLANNER, now=0.0), Accepted)
+
+    name = f"{spec.robot} {spec.family}:{spec.seed}"
+    return Setting(registry, name, summarise(scene), names, body.mobile, accepts)
+
+
+@cache
+def speech(drives: bool, part: Part) -> Speech:
+    """How people talk to a robot that drives, or to an arm; raises `WrongHash` if the wordings are not as fixed."""
+    if (got := wordings_hash()) != WORDINGS:
+        raise WrongHash("wordings", got=got, expected=WORDINGS, path="wordings.toml")
+    names = [name for name in kinds(mobile=drives) if name in book().kinds]
+    found = {name: wordings(name, "held_out" if part == "test" else "train") for name in names}
+    sentences = {name: tuple(one.text for one in some) for name, some in found.items()}
+    sentences |= own_sentences("base" if drives else "arm", part)
+    return Speech(sentences, {name: kind_of(name).label for name in names}, spoken)
+
+
+@cache
+def setting_of(scene: str) -> Setting:
+    """The setting by its name, such as "panda tall:20007"."""
+    robot, _, choice = scene.partition(" ")
+    family, _, seed = choice.partition(":")
+    return setting((make_room if mobile(robot) else make_scene)(family, int(seed), robot))
