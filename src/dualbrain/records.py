@@ -268,11 +268,27 @@ class Outcome(Record, frozen=True):
     h_min: float | None = None
     duration: float = 0.0
     actions: tuple[ActionResult, ...] = ()
+    hindrance: str = ""
+    """What held the robot back at the end of an action that did not succeed: the rows that bound last, in words."""
 
     @property
     def r(self) -> int:
         """Success label r ∈ {0, 1} (paper 5.1)."""
         return int(self.kind == "succeeded")
+
+
+class Setback(Record, frozen=True):
+    """What became of the contract before this one: `done` of its actions, the one `undone`, why, and what hindered it.
+
+    `hindrance` names the pairs that were nearest, or whose rows conflicted, when the action was given up.
+    """
+
+    episode_id: str
+    outcome: OutcomeClass
+    done: tuple[str, ...]
+    undone: str
+    reason: str
+    hindrance: str = ""
 
 
 class Violation(Record, frozen=True):
@@ -318,3 +334,5 @@ class Episode(Record, frozen=True):
     """What another of the robot's own senses says of the outcome, apart from the skills that carried it out."""
     uses: tuple[Use, ...] = ()
     """What became of each exemplar in the prompt, if the planner was asked again without it."""
+    setback: Setback | None = None
+    """What became of the contract before, if this one was planned because that one did not succeed."""

@@ -1,5 +1,6 @@
 """The prompt: its order, what stays the same between questions, and what untrusted text may not do to it."""
 
+import hashlib
 import json
 
 import jsonschema_rs
@@ -14,7 +15,7 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.planner import prompt
 from dualbrain.planner.examples import DECLINING, FETCHING, WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.prompt import MAX_EXEMPLARS, Message, header, render, template_hash
-from dualbrain.records import Recall
+from dualbrain.records import Passage, Recall
 from dualbrain.skills.vocabulary import arm_registry
 from tests.planner.questions import REGISTRY, exemplar, request
 
@@ -141,3 +142,23 @@ def test_untrusted_text_keeps_to_its_blocks(instruction: str, scene: str, rememb
         assert [m["content"].count(mark) for m in got] == [m["content"].count(mark) for m in expected]
     assert "<|" not in text_of(got)
     assert len(text_of(got)) < 16_000
+
+
+def test_prompts_of_single_goals_are_those_that_recorded_answers_were_given_to():
+    """Recorded runs, proofs and adapters rest on these bytes: new kinds of questions stand beside them."""
+    words = (
+        "put the red cube in the bowl",
+        "Could you move that little red block over into the blue bowl, please?",
+        "The red cube belongs in the blue bowl. Be careful, somebody may reach across the table.",
+    )
+    passage = Passage("a@1#0-5", "rule", "site", "A", "text", 0.5, 0.5, 1)
+    full = Recall((exemplar("best", rank=1),), (exemplar("burn it", rank=1, succeeded=False),), (passage,))
+    why = Rejected("envelope", "/action_sequence/0/params/speed", 9.0, [0.05, 0.4], "choose a slower speed")
+    driving = request("go to the window", skills_text=f"{DRIVES}\ngraspable: nothing\nreceptive: window")
+    asked = [*map(request, words), request(recall=full), request(recall=full, refusal=why), driving]
+    said = json.dumps([render(one) for one in asked])
+    assert hashlib.sha256(said.encode()).hexdigest()[:16] == "e61f277c4e5df0b5"
+    assert template_hash() == "870990135cb47e7c"
+
+
+DRIVES = "drive_to(place: receptive name)"

@@ -58,6 +58,7 @@ def pressed(tmp_path_factory):
 def test_an_obstacle_on_top_of_the_robot_ends_the_contract_safely(pressed):
     episode, _, config = pressed
     assert episode.outcome.kind in ("stopped", "taken_over", "failed")
+    assert "'wall'" in episode.outcome.hindrance  # what held it back is named, for whoever plans again
     assert episode.outcome.reason
     assert exit_code(episode) in (Exit.FAILED_SAFELY, Exit.VIOLATION)  # the overlap itself may count as touch
     (remembered,) = ledger_episodes(config.ledger)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
@@ -29,6 +30,7 @@ from dualbrain.dashboard.report import write_report
 from dualbrain.memory.map import memory_map
 from dualbrain.memory.utility import total
 from dualbrain.records import Episode
+from dualbrain.runtime.decision import in_words
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
 from dualbrain.runtime.storable import storable
@@ -43,7 +45,7 @@ def carry_out(
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
     consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
-    site: Path | None = None, utility: bool = False,
+    site: Path | None = None, utility: bool = False, tries: int = 1,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
@@ -52,7 +54,7 @@ def carry_out(
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
         goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
-        map=chart, eyes=eyes, site=site, utility=utility, adapters=home() / "adapters",
+        map=chart, eyes=eyes, site=site, utility=utility, tries=tries, adapters=home() / "adapters",
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)
@@ -76,7 +78,7 @@ def carry_out(
             console.print(f"[yellow]{escape(str(cut))}[/]")
         _tell(console, finished)
         if as_json:
-            answer(msgspec.json.encode(summary(finished.episode, out)).decode())
+            answer(msgspec.json.encode(summary(finished.episode, out, finished.earlier)).decode())
         album.snap("the end")
         album.close()
         drawn = memory_map(session.memory)
@@ -104,14 +106,15 @@ def succeeded(episode: Episode) -> bool:
     return episode.outcome.kind in ("succeeded", "paused", "slowed") and truth
 
 
-def summary(episode: Episode, out: Path) -> dict[str, Any]:
-    """The one object that `--json` prints."""
+def summary(episode: Episode, out: Path, earlier: Sequence[Episode] = ()) -> dict[str, Any]:
+    """The one object that `--json` prints; `earlier` are the tries that did not succeed."""
     outcome = episode.outcome
     last = episode.attempts[-1].verdict if episode.attempts else None
     return {
         "success": succeeded(episode), "outcome": outcome.kind, "reason": outcome.reason,
         "violations": episode.judgement.violations if episode.judgement else [],
         "contract": episode.contract, "verdict": last, "shots": len(episode.attempts),
+        "earlier": [{"outcome": one.outcome.kind, "reason": one.outcome.reason} for one in earlier],
         "delta": outcome.Delta, "intervention_frequency": outcome.intervention_frequency, "h_min": outcome.h_min,
         "uses": episode.uses, "duration": outcome.duration, "timings": episode.timings, "out": str(out),
     }  # fmt: skip
@@ -140,6 +143,8 @@ def _tell(console: Console, finished: Finished) -> None:
             f"Δ {outcome.Delta:.4f}, intervened on {outcome.intervention_frequency:.1%} of ticks, "
             f"closest {outcome.h_min * 1000:.1f} mm beyond all margins, {outcome.duration:.1f} s of motion"
         )
+    if words := in_words(episode.timings):
+        console.print(words)
     if episode.judgement:
         for violation in episode.judgement.violations:
             console.print(

@@ -13,6 +13,7 @@ from dualbrain.cli.share import share
 from dualbrain.errors import WrongUsage
 
 PLANNER = "qwen2.5-coder-1.5b-instruct"
+MOST_TRIES = 5
 
 
 def run(
@@ -30,6 +31,7 @@ def run(
     out: Path | None = None,
     ledger: Path | None = None,
     seed: int = 0,
+    tries: int = 2,
     port: int = 8080,
     knowledge: Literal["on", "off"] = "off",
     eyes: Annotated[bool, Parameter(negative="")] = False,
@@ -68,6 +70,8 @@ def run(
         Memory to use; default in dualbrain's home.
     seed
         Everything random after the scene (perception).
+    tries
+        How many contracts may be carried out, 1 to 5: after one that failed or was taken over the planner is told why.
     port
         Where the live view listens, on this machine only.
     eyes
@@ -92,6 +96,8 @@ def run(
             "instruction", got=instruction, allowed="some words, or --contract FILE",
             fix='For example: dualbrain run "put the red cube in the bowl"',
         )  # fmt: skip
+    if not 1 <= tries <= MOST_TRIES:
+        raise WrongUsage("--tries", got=tries, allowed=f"1 to {MOST_TRIES}")
     if live and filter == "off":
         raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()
@@ -100,6 +106,6 @@ def run(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
             consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes, site=site,
-            utility=utility,
+            utility=utility, tries=tries,
         )
     )  # fmt: skip

@@ -20,6 +20,7 @@ from dualbrain.dashboard.page import Html, badge, document, element, join, secti
 from dualbrain.dashboard.plots import strip_chart
 from dualbrain.memory.map import MemoryMap
 from dualbrain.records import Attempt, Episode, Exemplar, Use
+from dualbrain.runtime.decision import breakdown
 from dualbrain.runtime.trace import DEAD_BAND, Event, Trace
 from dualbrain.safety.barriers import BARRIERS
 
@@ -172,7 +173,28 @@ def _planner(episode: Episode) -> Html:
         return section(
             "Planner and gate", element("p", "No planner was asked: the contract was given.", class_="muted")
         )
-    return section("Planner and gate", *(_attempt(k, attempt) for k, attempt in enumerate(episode.attempts)))
+    cards = [_attempt(k, attempt) for k, attempt in enumerate(episode.attempts)]
+    return section("Planner and gate", *_before(episode), _decision(episode), *cards)
+
+
+def _decision(episode: Episode) -> Html:
+    """Where the time of the decision went."""
+    rows = [(words, f"{value:.4f}") for words, value in breakdown(episode.timings)]
+    total = episode.timings.get("decision")
+    if total is None:
+        return Html("")
+    return table(("part of the decision", "[s]"), [*rows, (element("b", "together"), f"{total:.4f}")], right=(1,))
+
+
+def _before(episode: Episode) -> Sequence[Html]:
+    """What became of the contract before this one, if there was one."""
+    before = episode.setback
+    if before is None:
+        return ()
+    done = ", ".join(before.done) or "nothing"
+    said = f"Planned again after {before.episode_id}: {before.outcome.replace('_', ' ')} at “{before.undone}” "
+    said += f"({before.reason}{'; ' + before.hindrance if before.hindrance else ''}); done before: {done}."
+    return (element("p", said),)
 
 
 def _attempt(index: int, attempt: Attempt) -> Html:

@@ -2,7 +2,8 @@
 
 Training and asking render the same messages from the same request. Order: role, rules and skills (the same for every
 question to one robot, so that a server keeps it in its prefix cache), exemplars, then the question: passages from
-documents with their citations, warnings, scene, instruction, and the gate's refusal when this is a second shot.
+documents with their citations, warnings, what became of an earlier contract, the gate's refusal when this is a second
+shot, scene and instruction.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any, TypedDict
 from dualbrain.planner import base_prompt
 from dualbrain.planner.examples import WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.request import PlanRequest
+from dualbrain.planner.setback import setback_words
 from dualbrain.planner.untrusted import block, compact_json, sanitise
 from dualbrain.records import Exemplar
 
@@ -141,6 +143,8 @@ def _last_question(request: PlanRequest, names: str) -> str:
     scene = f"{request.scene}\n{names}" if names else request.scene
     parts = [part for part in (_knowledge(request), *warnings) if part]
     parts.append(_question(scene, request.instruction, request.contract_id))
+    if request.setback is not None:
+        parts.insert(-1, setback_words(request.setback))
     if request.refusal is not None:
         parts.insert(-1, _refusal(request))
     return "\n".join(parts)

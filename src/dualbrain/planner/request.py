@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.records import Recall, Record
+from dualbrain.records import Recall, Record, Setback
 
 
 class PlanRequest(Record, frozen=True):
@@ -13,7 +13,8 @@ class PlanRequest(Record, frozen=True):
 
     `instruction`, `scene` (the summary in symbols) and `recall` are untrusted text. `skills_text` is the registry in
     short form and `schema` its decoding schema for the names in this scene. `refusal` is the gate's answer to the first
-    shot when this is the second. `contract_id` is the id that the contract must carry.
+    shot when this is the second; `setback` is what became of an earlier contract for the same instruction, when this is
+    to do what that one did not. `contract_id` is the id that the contract must carry.
     """
 
     instruction: str
@@ -25,3 +26,4 @@ class PlanRequest(Record, frozen=True):
     schema: dict[str, Any]
     contract_id: str
     refusal: Rejected | None = None
+    setback: Setback | None = None

@@ -58,6 +58,7 @@ class Counterfactuals:
         return PlanRequest(
             episode.instruction, episode.summary, recall, episode.robot, episode.registry,
             short_form(self._registry, names), self._registry.decoding_schema(names), contract_id="c-0001",
+            setback=episode.setback,
         )  # fmt: skip
 
     def _ask(self, request: PlanRequest) -> str | None:

@@ -15,7 +15,6 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form
 from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
 from dualbrain.memory.picture import Picture
@@ -23,20 +22,19 @@ from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, Planner
-from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Attempt, Episode, Judgement, Outcome, Passage, Proposal, Recall
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Setback
+from dualbrain.runtime.decision import timings
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate, RemoteLayer
 from dualbrain.runtime.local_layer import LocalLayer
+from dualbrain.runtime.question import LookUp, Reminder, Standpoint, question, reminded
+from dualbrain.runtime.replanning import goes_on
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.runtime.storable import storable
-from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.thinking import Thinking
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names
 from dualbrain.skills.vocabulary import registry_of
 
-LookUp = Callable[[str, str], tuple[Passage, ...]]
-"""Instruction and scene summary → passages to show."""
 STAGES = get_args(Stage)
 """The gate's stages, in their order."""
 CONTRACT_LIFE = 660.0
@@ -51,15 +49,8 @@ class Door(Protocol):
         ...
 
 
-class Experience(Protocol):
+class Experience(Reminder, Protocol):
     """What the loop asks of memory; `memory.store.Memory` is one, and a baseline may have one that keeps nothing."""
-
-    def recall(
-        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
-        image: Picture | None = None,
-    ) -> Recall:  # fmt: skip
-        """The `k` best exemplars, and warnings."""
-        ...
 
     def store(self, episode: Episode, state: Posture, *, now: float, image: Picture | None = None) -> StoreReport:
         """Keep the episode, and let its outcome teach."""
@@ -71,7 +62,7 @@ class Errand:
     """What is asked, its name and date: the words, how many shots the planner has, how many memories it is shown.
 
     No `exemplars`: nothing is recalled, warnings neither, as for a contract that is given; an outcome teaches only what
-    stood in a prompt.
+    stood in a prompt. `tries` contracts may still be carried out for it; `setback` is what became of the one before.
     """
 
     id: str
@@ -80,6 +71,8 @@ class Errand:
     seed: int
     shots: int = 2
     exemplars: int = MAX_RECALLED
+    tries: int = 1
+    setback: Setback | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,27 +94,20 @@ def run_episode(
     """Carry one instruction through the loop; `now` [s, 1970 UTC] stamps what memory writes.
 
     `look_up` gives the passages of documents that bear on the instruction in this scene. `granted` says who may call
-    which skill; by default the planner may call every one. `door` puts another door in the gate's place (evaluation).
+    which skill; by default the planner may call every one. `door` puts another door in the gate's place (evaluation). A
+    try that another one follows is not judged.
 
     The episode is handed to `keep` before memory has it: what moved is on record, whatever happens to the ledger.
     """
-    registry = registry_of(layer.body)
-    scene, names = layer.scene, scene_names(layer.scene)
-    summary = summarise(scene, layer.limb.holding.name if layer.limb.holding else None)
+    registry, scene = registry_of(layer.body), layer.scene
+    held = layer.limb.holding.name if layer.limb.holding else None
     posture = Posture(tuple(layer.state.q.tolist()), layer.state.opening)
-    image = witness.picture()
-    recall = Recall()
-    if errand.exemplars:
-        recall = memory.recall(
-            errand.instruction, summary, posture, layer.body.name, registry.hash, k=errand.exemplars, image=image
-        )  # fmt: skip
-    recall = msgspec.structs.replace(recall, passages=look_up(errand.instruction, summary))
+    here = Standpoint(layer.body, scene, held, posture, witness.picture())
+    recall, retrieval = thinking.timed(lambda: reminded(errand.instruction, here, memory, errand.exemplars, look_up))
     gate = _gate(layer, registry, grants(registry) if granted is None else granted)
     gate = door(gate) if door else gate
-    request = PlanRequest(
-        errand.instruction, summary, recall, layer.body.name, registry.hash, short_form(registry, names),
-        registry.decoding_schema(names), contract_id="c-0001",
-    )  # fmt: skip
+    request = question(errand.instruction, here, recall, errand.setback)
+    bound = layer.log.binding.copy()
     attempts: list[Attempt] = []
     verdict: Verdict | None = None
     for shot in range(1, errand.shots + 1):
@@ -144,14 +130,14 @@ def run_episode(
         witness.begin(contract)
     outcome = layer.run(contract) if contract else _unmoved(layer, len(attempts), verdict)
     episode = Episode(
-        errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, summary,
-        recall,
-        tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome, witness.judge(),
-        _timings(attempts, outcome), witness.versions, dict(layer.log.binding),
-        second_opinion(layer.scene, contract, outcome),
+        errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, here.summary,
+        recall, tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome,
+        None if goes_on(outcome, errand.tries) else witness.judge(),
+        timings(attempts, retrieval) | {"motion": outcome.duration}, witness.versions,
+        dict(layer.log.binding - bound), second_opinion(layer.scene, contract, outcome), setback=errand.setback,
     )  # fmt: skip
     keep(episode)
-    return episode, memory.store(episode, posture, now=now, image=image)
+    return episode, memory.store(episode, posture, now=now, image=here.image)
 
 
 def _gate(
@@ -200,14 +186,3 @@ def _verdict_words(shot: int, verdict: Verdict | None) -> str:
 
 def _passed(count: int) -> str:
     return " ".join(f"{stage} ✓" for stage in STAGES[:count]) + (" " if 0 < count < len(STAGES) else "")
-
-
-def _timings(attempts: list[Attempt], outcome: Outcome) -> dict[str, float]:
-    """Planner, gate and motion time [s]; the planner's parts are summed over its shots."""
-    timings = {"gate": sum(attempt.gate_s for attempt in attempts), "motion": outcome.duration, "planner": 0.0}
-    for attempt in attempts:
-        parts = {part: value for part, value in attempt.proposal.timings.items() if not part.endswith("_tokens")}
-        timings["planner"] += parts.pop("total", 0.0)
-        for part, seconds in parts.items():
-            timings[f"planner_{part}"] = timings.get(f"planner_{part}", 0.0) + seconds
-    return timings

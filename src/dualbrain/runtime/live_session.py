@@ -10,10 +10,8 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.memory.store import StoreReport
-from dualbrain.planner.prompt import MAX_RECALLED
-from dualbrain.records import Episode, Judgement
-from dualbrain.runtime.episode import Errand, Witness, run_episode
+from dualbrain.records import Judgement, Setback
+from dualbrain.runtime.episode import Witness, run_episode
 from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
 from dualbrain.runtime.gatekeeper.keeper import OPERATOR
 from dualbrain.runtime.gatekeeper.messages import Act, Glimpse, Message, News
@@ -23,6 +21,7 @@ from dualbrain.runtime.gatekeeper.seals import open_keys
 from dualbrain.runtime.gatekeeper.spawn import Plan, Process
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recording import read_trace
+from dualbrain.runtime.replanning import Tried
 from dualbrain.runtime.session import Finished, Onlooker, Session
 from dualbrain.runtime.thinking import Thinking
 from dualbrain.runtime.trace import Event, Trace
@@ -74,12 +73,10 @@ class LiveSession(Session):
             stack.callback(process.stop)
             out.joinpath(ADDRESS).write_text(f"{plan.socket}\n{plan.keys}\n", encoding="utf-8")
             stack.callback(out.joinpath(ADDRESS).unlink)
-            episode, stored = self._live(process, onlooker)
-        episode = self._with_uses(episode)
-        self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
-        return Finished(episode, stored, read_trace(out / "episode.mcap") or Trace(self.body.n))
+            tries = self._live(process, onlooker)
+        return self._finished(tries, read_trace(out / "episode.mcap") or Trace(self.body.n))
 
-    def _live(self, process: Process, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
+    def _live(self, process: Process, onlooker: Onlooker) -> tuple[Tried, ...]:
         config, plan = self.config, process.plan
 
         def watch(message: Message) -> None:
@@ -104,14 +101,13 @@ class LiveSession(Session):
         self._hand = hand = GatekeeperLink(Path(plan.socket), keys, OPERATOR)
         log = FlightLog(Trace(self.body.n), None, onlooker.event)
         layer = RemoteLayer(self.body, link, log, lambda: self._interrupted)
-        given = config.contract is not None
-        errand = Errand(
-            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots,
-            exemplars=0 if given else MAX_RECALLED,
-        )  # fmt: skip
         thinking = Thinking(time.monotonic, measured=True)
         witness = Witness(lambda contract: None, judge, self._versions(), self._picture)
-        return run_episode(
-            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now(),
-            look_up=self._look_up,
-        )  # fmt: skip
+
+        def run(name: str, left: int, setback: Setback | None) -> Tried:
+            return run_episode(
+                self._errand(name, left, setback), self.planner, self.memory, layer, thinking, witness, self._keep,
+                now=self.times.now(), look_up=self._look_up,
+            )  # fmt: skip
+
+        return self._tried(log, lambda: layer.state.stamp, run)

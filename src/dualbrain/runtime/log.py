@@ -18,6 +18,10 @@ from dualbrain.safety.filter import Filtered
 Array = NDArray[np.float64]
 
 
+LATELY, HINDRANCES = 3.0, 2
+"""A row that bound this long [s] before the end of an action is named as what held it back, this many at most."""
+
+
 class FlightLog:
     """Trace and recorder behind one door; the recorder may be absent (tests, sweeps)."""
 
@@ -33,6 +37,7 @@ class FlightLog:
         """
         self.trace, self.recorder, self._announce = trace, recorder, announce
         self.binding: Counter[str] = Counter()
+        self._bound: tuple[float, Filtered] | None = None
 
     def tick(
         self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str, *,
@@ -44,6 +49,7 @@ class FlightLog:
         )  # fmt: skip
         if action >= 0 and result.rows:
             self.binding.update(result.barriers)
+            self._bound = now, result
         if self.recorder:
             self.recorder.tick(row)
 
@@ -86,5 +92,12 @@ class FlightLog:
             kind, reason,
             Delta=float(delta.mean()), Delta_sum=float(delta.sum()), delta_peak=float(delta.max()),
             intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()) if len(h) else None,
-            duration=float(t[-1] - t[0]), actions=actions,
+            duration=float(t[-1] - t[0]), actions=actions, hindrance=self._hindrance(float(t[-1]), actions),
         )  # fmt: skip
+
+    def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
+        """The rows that bound within `LATELY` of `end` [s], strongest first; "" where every action was done."""
+        if self._bound is None or end - self._bound[0] > LATELY or all(one.status == "done" for one in actions):
+            return ""
+        rows = sorted(self._bound[1].active, key=lambda row: -row[2])
+        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:HINDRANCES]))

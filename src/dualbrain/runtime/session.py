@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -33,20 +33,21 @@ from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED, template_hash
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.registry import DEFAULT_PLANNER
-from dualbrain.records import Episode, Passage
+from dualbrain.records import Episode, Passage, Setback
 from dualbrain.runtime.charted import open_map, with_places
 from dualbrain.runtime.consulting import consult
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.given import GivenContract
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
+from dualbrain.runtime.replanning import Tried, tried
+from dualbrain.runtime.run_config import Finished, Onlooker, RunConfig, Times
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.storable import storable
-from dualbrain.runtime.thinking import PLANNING_TIME, Clock, Thinking
-from dualbrain.runtime.trace import Event, Trace
+from dualbrain.runtime.thinking import PLANNING_TIME, Thinking
+from dualbrain.runtime.trace import Trace
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.safety.site import site_body, site_grants, site_obstacles
@@ -60,70 +61,8 @@ from dualbrain.world.task import goal_of
 
 FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """What a run leaves in its folder."""
+__all__ = ["FILES", "Finished", "Onlooker", "RunConfig", "Session", "Times"]
 ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
-
-
-@dataclass(frozen=True, slots=True)
-class RunConfig:
-    """What one run is: written beside its result as `config.json`."""
-
-    instruction: str
-    out: Path
-    ledger: Path
-    cache: Path
-    robot: str = "panda"
-    scene: str = "0"
-    planner: str = DEFAULT_PLANNER
-    contract: Path | None = None
-    guard: bool = True
-    seed: int = 0
-    shots: int = 2
-    knowledge: Path | None = None
-    consult: bool = False
-    map: str = ""
-    site: Path | None = None
-    goal: str = ""
-    measured: bool = False
-    visuals: bool = True
-    eyes: bool = False
-    """Whether a picture of the scene is part of what memory compares (its image block)."""
-    utility: bool = False
-    """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
-    static: bool = False
-    """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
-    adapters: Path | None = None
-    """The registry of adapters; None: the folder `adapters` beside the ledger."""
-
-
-@dataclass(frozen=True, slots=True)
-class Times:
-    """The clocks, handed in from above: a monotonic one [s], and the date of the start (UTC, ISO 8601, and seconds).
-
-    `pace(now)` may delay each tick of the simulation for people.
-    """
-
-    clock: Clock
-    started: str
-    now: Callable[[], float]
-    pace: Callable[[float], None] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Onlooker:
-    """Who watches: events as they happen, moments of the control loop, the start of each phase."""
-
-    event: Callable[[Event], None] = lambda event: None
-    moment: Callable[[Moment], None] = lambda moment: None
-    phase: Callable[[str], None] = lambda phase: None
-
-
-@dataclass(slots=True)
-class Finished:
-    """What a run leaves: the episode, what memory changed, and the trace."""
-
-    episode: Episode
-    stored: StoreReport
-    trace: Trace
 
 
 class Session:
@@ -140,6 +79,7 @@ class Session:
         self.config, self.times = replace(config, instruction=storable(config.instruction), out=out), times
         self._stack = ExitStack()
         self._interrupted = False
+        self._kept: list[str] = []
         try:
             self._open(environ, planner)
         except BaseException:
@@ -213,18 +153,23 @@ class Session:
                 about |= {"body": self.body, "standing": self.standing}
             recorder.episode(0.0, {**about, "versions": self._versions()})
             try:
-                episode, stored = self._episode(log, onlooker)
+                tries = self._episodes(log, onlooker)
             finally:
                 self.plant.stop()
+        return self._finished(tries, trace)
+
+    def _finished(self, tries: tuple[Tried, ...], trace: Trace) -> Finished:
+        """The end of a run: what its last try was, after what became of the memories in its prompt."""
+        *earlier, (episode, stored) = tries
         episode = self._with_uses(episode)
         self.ledger.end_run({"outcome": episode.outcome.kind}, now=self.times.now())
-        return Finished(episode, stored, trace)
+        return Finished(episode, stored, trace, tuple(one for one, _ in earlier))
 
     def interrupt(self) -> None:
         """A person wants the robot to stop: it brakes to rest, the drive goes off, and everything is recorded."""
         self._interrupted = True
 
-    def _episode(self, log: FlightLog, onlooker: Onlooker) -> tuple[Episode, StoreReport]:
+    def _episodes(self, log: FlightLog, onlooker: Onlooker) -> tuple[Tried, ...]:
         config, world = self.config, self.world
 
         def phase_changed(phase: str, roles: dict[str, str | None]) -> None:
@@ -237,22 +182,39 @@ class Session:
             watch=onlooker.moment, phase_changed=phase_changed,
             interrupted=lambda: self._interrupted, clock=lambda: self.plant.now,
         )  # fmt: skip
-        given = config.contract is not None
-        errand = Errand(
-            config.out.name, self.times.started, config.instruction, config.seed, 1 if given else config.shots,
-            exemplars=0 if given else MAX_RECALLED,
-        )  # fmt: skip
-        thinking = Thinking(self.times.clock, config.measured, 0.0 if given else PLANNING_TIME)
+        thinking = Thinking(self.times.clock, config.measured, 0.0 if config.contract else PLANNING_TIME)
         witness = Witness(world.begin, world.judgement, self._versions(), self._picture)
-        episode, stored = run_episode(
-            errand, self.planner, self.memory, layer, thinking, witness, self._keep, now=self.times.now(),
-            look_up=self._look_up, granted=self.grants,
+
+        def run(name: str, left: int, setback: Setback | None) -> Tried:
+            episode, stored = run_episode(
+                self._errand(name, left, setback), self.planner, self.memory, layer, thinking, witness, self._keep,
+                now=self.times.now(), look_up=self._look_up, granted=self.grants,
+            )  # fmt: skip
+            _note_weights(log, layer.state.stamp, stored)
+            return episode, stored
+
+        return self._tried(log, lambda: layer.state.stamp, run)
+
+    def _tried(
+        self, log: FlightLog, now: Callable[[], float], run: Callable[[str, int, Setback | None], Tried]
+    ) -> tuple[Tried, ...]:
+        """Every try of the errand, each one after the first announced; a contract that was given is tried once."""
+
+        def announced(name: str, left: int, setback: Setback | None) -> Tried:
+            if setback:
+                why = f"{setback.outcome.replace('_', ' ')}: {setback.undone}: {setback.reason}"
+                log.note(now(), "planner", f"planning again: {why}", **msgspec.structs.asdict(setback))
+            return run(name, left, setback)
+
+        return tried(self.config.out.name, 1 if self.config.contract else self.config.tries, announced)
+
+    def _errand(self, name: str, left: int, setback: Setback | None) -> Errand:
+        """One try; to a contract that was given nothing is recalled, and it has one shot."""
+        config, given = self.config, self.config.contract is not None
+        return Errand(
+            name, self.times.started, config.instruction, config.seed, 1 if given else config.shots,
+            exemplars=0 if given else MAX_RECALLED, tries=left, setback=setback,
         )  # fmt: skip
-        for one in stored.changes:
-            why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
-            moved = {"episode_id": one.memory, "before": one.before, "after": one.after}
-            log.note(layer.state.stamp, "memory", why, **moved)
-        return episode, stored
 
     def _with_uses(self, episode: Episode) -> Episode:
         """The episode with what became of the memories in its prompt, if that is wanted; it is written down."""
@@ -281,9 +243,13 @@ class Session:
             return self._eyes.encode(camera.snap())
 
     def _keep(self, episode: Episode) -> None:
-        self.config.out.joinpath("episode.json").write_bytes(
-            msgspec.json.format(msgspec.json.encode(episode), indent=2)
-        )
+        """Write down an episode as `episode.json`; the try before it becomes `episode-N.json`."""
+        path = self.config.out / "episode.json"
+        if episode.id not in self._kept:
+            if self._kept:
+                path.replace(self.config.out / f"episode-{len(self._kept)}.json")
+            self._kept.append(episode.id)
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
 
     def _versions(self) -> dict[str, str]:
         versions = {
@@ -303,6 +269,13 @@ class Session:
     ) -> None:
         """Close everything."""
         self._stack.close()
+
+
+def _note_weights(log: FlightLog, t: float, stored: StoreReport) -> None:
+    """What an outcome taught, as events."""
+    for one in stored.changes:
+        why = f"{one.memory}: {one.rule}d" if one.rule == "reinforce" else f"{one.memory}: suppressed"
+        log.note(t, "memory", why, episode_id=one.memory, before=one.before, after=one.after)
 
 
 def _check_folder(out: Path) -> None:

@@ -1,0 +1,42 @@
+"""The time of a decision: its parts add up, over all shots, and what nobody told is the rest."""
+
+import pytest
+
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.records import Attempt, Proposal
+from dualbrain.runtime.decision import PARTS, breakdown, in_words, timings
+
+
+def attempt(gate=0.001, **told):
+    return Attempt(Proposal("", "stop", "p", "n", told), Rejected("syntax", "", "", "", "no"), gate)
+
+
+TWICE = (
+    attempt(load=1.0, prefill=2.0, decode=3.0, prompt_tokens=500.0, total=6.5),
+    attempt(prefill=0.5, decode=2.5, total=3.25),
+)
+
+
+def test_the_parts_are_the_whole():
+    spent = timings(TWICE, retrieval=0.25)
+    assert spent["planner"] == 9.75
+    assert spent["planner_prefill"] == 2.5
+    assert spent["planner_rest"] == pytest.approx(9.75 - 1.0 - 2.5 - 5.5)
+    assert "planner_prompt_tokens" not in spent
+    assert sum(value for _, value in breakdown(spent)) == pytest.approx(spent["decision"])
+    assert spent["decision"] == pytest.approx(0.25 + 9.75 + 0.002)
+
+
+def test_a_planner_that_tells_nothing_has_only_a_rest():
+    spent = timings([attempt(total=4.0)], 0.0)
+    assert {name for name in spent if name.startswith("planner_")} == {"planner_rest"}
+    assert spent["planner_rest"] == 4.0
+    assert timings((), 0.5)["decision"] == 0.5
+
+
+def test_one_line_for_people_names_every_part_that_took_time():
+    line = in_words(timings(TWICE, 0.25))
+    assert line.startswith("decided in 10.00 s: retrieval 0.25 s, load of the model 1.00 s, prefill 2.50 s")
+    assert line.endswith("validation 2.0 ms")
+    assert [words for words, _ in breakdown(timings(TWICE, 0.25))] == list(PARTS.values())
+    assert in_words({}) == ""
