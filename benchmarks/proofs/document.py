@@ -15,9 +15,11 @@ from proofs.learnable import families
 from proofs.origin import machine
 from proofs.plot import plot
 from proofs.plot_learning import plot_learning
+from proofs.plot_tick import plot_tick
 from proofs.proof import Proof, Row
 
 PICTURE = "![Δ by contract, family and seed](learnable.png)"
+PICTURES = "images"
 BEGIN, END = "<!-- figures: written by `make prove`, not by hand -->", "<!-- end of figures -->"
 
 
@@ -40,6 +42,8 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             section = [proof.claim, "", provenance(rows), "", "Figures and plot: [learnable.md](learnable.md).", ""]
         if proof.name == "faults":
             _between(docs / "faults.md", [provenance(rows), "", *matrices(rows)])
+        if proof.name == "tick":
+            plot_tick(rows[-1], docs / PICTURES / "tick.png")
         if proof.name == "learning":
             plot_learning(rows, docs / "learning.png")
         sections[proof.name] = section

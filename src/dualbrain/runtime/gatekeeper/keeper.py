@@ -55,8 +55,10 @@ NAMELESS = 2.0
 """Whoever has not said who they are by then is let go [s]."""
 MEMORY = 0.5
 """How long a flood, or a refused message, is held against the commander [s]."""
-BEAT_EVERY, TIDY_EVERY, GLIMPSE_EVERY = 50, 10_000, 66
-"""Ticks between heartbeats downward, between clean-ups while idle, and between glimpses for people."""
+BEAT_EVERY, TIDY_EVERY = 50, 10_000
+"""Ticks between heartbeats downward, and between clean-ups while idle."""
+GLIMPSE_EVERY = 0.066
+"""Time between glimpses for people [s]."""
 LONGEST_LIFE = 660.0
 """A contract may not be meant to live longer than this [s]."""
 
