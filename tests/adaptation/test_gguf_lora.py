@@ -45,10 +45,12 @@ def of_llama(base, adapter, scale=1.0):
     params.warmup, params.verbosity = False, 0
     params.cache_type_k = params.cache_type_v = xllamacpp.ggml_type.GGML_TYPE_F32
     params.flash_attn_type = xllamacpp.llama_flash_attn_type.LLAMA_FLASH_ATTN_TYPE_DISABLED
-    params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(adapter), 1.0)]
-    params.lora_init_without_apply = True
+    if adapter is not None:
+        params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(adapter), 1.0)]
+        params.lora_init_without_apply = True
     server = xllamacpp.Server(params)
-    body = {"prompt": PROMPT, "n_predict": 1, "n_probs": 258, "temperature": 0.0, "lora": [{"id": 0, "scale": scale}]}
+    body = {"prompt": PROMPT, "n_predict": 1, "n_probs": 258, "temperature": 0.0}
+    body |= {"lora": [{"id": 0, "scale": scale}]} if adapter is not None else {}
     asked = urllib.request.Request(f"{server.listening_address}/completion", json.dumps(body).encode())
     with urllib.request.urlopen(asked, timeout=30) as answer:
         told = json.loads(answer.read())["completion_probabilities"][0]["top_logprobs"]

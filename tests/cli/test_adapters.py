@@ -30,13 +30,26 @@ def name(tmp_path):
     return Adapters(tmp_path / "adapters").add(source, now=0.0).id
 
 
-def test_on_its_whole_way(tell, name, tmp_path):
+@pytest.fixture
+def sings(monkeypatch):
+    """Canaries of adapters that are no adapters: what is wrong with their answers."""
+    faults = {}
+    monkeypatch.setattr("dualbrain.cli.adapters.canary_fault", lambda registry, one: faults.get(one, ""))
+    return faults
+
+
+def test_on_its_whole_way(tell, name, tmp_path, sings):
     measured = tmp_path / "measured.json"
     measured.write_bytes(msgspec.json.encode(Measured(results(name, 21), results("", 20))))
     code, _, err = tell("adapters", "promote", name[:8], "--measured", "measured.json")
     assert code == Exit.FAILED_SAFELY
     assert "nothing is better beyond chance" in err
     measured.write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    sings[name] = "it answers as if no adapter were worn"
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "measured.json")
+    assert (code, "as if no adapter" in err) == (Exit.FAILED_SAFELY, True)
+    assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == []
+    del sings[name]
     assert tell("adapters", "promote", name[:8], "--measured", "measured.json")[0] == Exit.SUCCESS
     assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == [name]
     code, _, err = tell("adapters", "rollback", "--reason", "a test")
@@ -61,6 +74,30 @@ def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
     assert not (tmp_path / "out2").exists()
 
 
+def test_one_damaged_adapter_hides_no_other(tell, name, tmp_path, sings):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / WEIGHTS).write_bytes(b"more weights")
+    (other / "adapter_config.json").write_text("{}")
+    registry = Adapters(tmp_path / "adapters")
+    write_card(msgspec.structs.replace(registry.card(name), id=weights_id(other)), other)
+    second = registry.add(other, now=1.0).id
+    for one, before in ((name, ""), (second, name)):
+        (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results(before, 20))))
+        assert tell("adapters", "promote", one[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    (tmp_path / "adapters" / name / WEIGHTS).write_bytes(b"others")
+    told = json.loads(tell("adapters", "list", "--json")[1])
+    assert ([card["id"] for card in told["adapters"]], told["serving"]) == ([second], [second])
+    assert "were changed" in told["damaged"][name]
+    assert second[:16] in tell("adapters", "list")[1]
+    code, out, _ = tell("adapters", "show", name[:8])
+    assert (code, [e["kind"] for e in json.loads(out)["journal"]]) == (Exit.FAILED_SAFELY, ["added", "promoted"])
+    assert tell("adapters", "verify")[1].count("whole") == 1
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SETUP
+    code, _, err = tell("adapters", "rollback", "--reason", "a test")
+    assert (code, "the bare base serves again" in err) == (Exit.SUCCESS, True)  # the former one is damaged
+
+
 @pytest.mark.parametrize("arguments", [("show", "abcd"), ("promote", "abcd", "--measured", "none.json")])
 def test_what_is_not_there_is_told(tell, arguments):
     code, out, err = tell("adapters", *arguments)
@@ -69,4 +106,4 @@ def test_what_is_not_there_is_told(tell, arguments):
 
 
 def test_an_empty_registry_is_no_error(tell):
-    assert json.loads(tell("adapters", "list", "--json")[1]) == {"adapters": [], "serving": []}
+    assert json.loads(tell("adapters", "list", "--json")[1]) == {"adapters": [], "serving": [], "damaged": {}}

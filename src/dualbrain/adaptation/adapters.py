@@ -91,6 +91,11 @@ class Adapters:
         """The adapter that serves at `place`, `BARE` if none does."""
         return self._history(place)[-1]
 
+    def serving(self) -> tuple[str, ...]:
+        """The adapters that serve anywhere."""
+        places = dict.fromkeys(entry.place for entry in self.journal())
+        return tuple(one for one in map(self.champion, places) if one != BARE)
+
     def promote(self, name: str, decision: Decision, *, now: float) -> None:
         """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
 
@@ -108,15 +113,21 @@ class Adapters:
             self._append(Entry("promoted", card.id, place_of(card), now, decision=decision))
 
     def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
-        """Give the place back to whom it had before, and return that id; at last to the bare base."""
+        """Give the place back to whom it had before, and return that id; at last to the bare base.
+
+        One that was damaged meanwhile is passed over.
+        """
         if not reason.strip():
             raise InvalidSetup("reason", got=reason, allowed="a few words", fix="Say why with --reason.")
         with self._alone():
             history = self._history(place)
             if len(history) < 2:
                 raise InvalidSetup("champion", got="the bare base", allowed="a promoted adapter")
-            self._append(Entry("rolled back", history[-2], place, now, reason))
-            return history[-2]
+            for former in reversed(history[:-1]):
+                self._append(Entry("rolled back", former, place, now, reason))
+                if former == BARE or not (reason := self._fault(former)):
+                    return former
+            return BARE
 
     def verify(self) -> dict[str, str]:
         """What is wrong with each adapter, "" if nothing is."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 from dualbrain.errors import DualbrainError
@@ -37,6 +39,27 @@ def write_durably(path: Path, data: bytes) -> None:
             beside.unlink(missing_ok=True)
     except OSError as error:
         raise DiskFull(path, error.strerror or str(error)) from error
+
+
+@contextmanager
+def whole_file(path: Path) -> Generator[Path]:
+    """A name beside `path` for a program that writes files itself; moved to `path` when the body ends well, else gone.
+
+    Raises `DiskFull` for what the body cannot write.
+    """
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    beside = Path(name)
+    os.close(descriptor)
+    try:
+        yield beside
+        with beside.open("rb") as written:
+            os.fsync(written.fileno())
+        beside.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DiskFull(path, error.strerror or str(error)) from error
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,9 +14,9 @@ from rich.table import Table
 
 from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import home
+from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import DualbrainError, InvalidSetup
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.adapters import Adapters
@@ -40,13 +39,12 @@ def list_adapters(*, json: Flag = False) -> int:
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.adaptation.adapters import place_of
-
     registry = registry_of_adapters()
-    cards = [registry.card(one) for one in registry.ids()]
-    serving = {card.id for card in cards if registry.champion(place_of(card)) == card.id}
+    damaged = {one: fault for one, fault in registry.verify().items() if fault}
+    cards = [registry.card(one) for one in registry.ids() if one not in damaged]
+    serving = registry.serving()
     if json:
-        tell({"adapters": cards, "serving": sorted(serving)})
+        tell({"adapters": cards, "serving": sorted(serving), "damaged": damaged})
         return Exit.SUCCESS
     table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
     for card in cards:
@@ -54,33 +52,62 @@ def list_adapters(*, json: Flag = False) -> int:
         base = card.base + (", bootstrapped" if card.bootstrapped else "")
         table.add_row(card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-")
     Console().print(table)
+    for one, fault in damaged.items():
+        Account().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
     return Exit.SUCCESS
 
 
 def show(name: str, /) -> int:
-    """Show the card of one adapter and what became of it, as JSON.
+    """Show the card of one adapter and what became of it, as JSON. Exit code 1 if it is damaged.
 
     Parameters
     ----------
     name
         The beginning of its id.
     """
+    from dualbrain.adaptation.serving.opening import shadow_log
+    from dualbrain.adaptation.serving.shadow import glances, summary
+
     registry = registry_of_adapters()
-    card = registry.card(name)
-    tell({"card": card, "journal": [entry for entry in registry.journal() if entry.adapter == card.id]})
-    return Exit.SUCCESS
+    one = registry.find(name)
+    fault = registry.verify()[one]
+    told: dict[str, Any] = {"damaged": fault} if fault else {"card": registry.card(one)}
+    told["journal"] = [entry for entry in registry.journal() if entry.adapter == one]
+    tell(told | {"shadow": summary(glances(shadow_log(registry.folder, one)))})
+    return Exit.FAILED_SAFELY if fault else Exit.SUCCESS
 
 
-def verify() -> int:
-    """Check that the weights of every adapter are those that its id names. Exit code 1 if not."""
-    found = registry_of_adapters().verify()
+def verify(*, answers: Flag = False) -> int:
+    """Check that the weights of every adapter are those that its id names. Exit code 1 if not.
+
+    Parameters
+    ----------
+    answers
+        Also ask each one all its canaries, in the runtime that serves.
+    """
+    registry = registry_of_adapters()
+    found = registry.verify()
+    if answers:
+        found = {one: fault or canary_fault(registry, one) for one, fault in found.items()}
     for one, fault in found.items():
         answer(f"{one[:16]} {fault or 'whole'}")
     return Exit.FAILED_SAFELY if any(found.values()) else Exit.SUCCESS
 
 
+def canary_fault(registry: Adapters, one: str) -> str:
+    """What is wrong with the answers of an adapter in the runtime that serves, "" if nothing is."""
+    from dualbrain.adaptation.serving.opening import examine
+
+    try:
+        return examine(registry.folder / one, cache(), registry.folder)
+    except DualbrainError as error:
+        return str(error)
+
+
 def promote(name: str, /, *, measured: Path) -> int:
     """Let an adapter serve in place of the present champion, if it was measured better. Exit code 1 if it was not.
+
+    Before, it is asked its canaries in the runtime that serves: what it answers now it must answer at every start.
 
     Parameters
     ----------
@@ -100,11 +127,15 @@ def promote(name: str, /, *, measured: Path) -> int:
         allowed = "`candidate` and `champion`, each with `adapter`, `runtime`, `perplexity` and `trials`"
         raise InvalidSetup("results", got=str(error), allowed=allowed, fix=str(measured)) from error
     decision = decide(results.candidate, results.champion, Tolerances(), np.random.default_rng(0))
+    registry = registry_of_adapters()
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
+    if decision.promotes and (fault := canary_fault(registry, registry.find(name))):
+        Account().print(f"not promoted: {fault}")
+        return Exit.FAILED_SAFELY
     try:
-        registry_of_adapters().promote(name, decision, now=time.time())
+        registry.promote(name, decision, now=time.time())
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY
@@ -128,22 +159,6 @@ def rollback(*, reason: str, robot: str = "panda", base: str = "smollm2-135m-ins
 
     now = registry_of_adapters().roll_back((robot, find_file(base).sha256), reason, now=time.time())
     Account().print(f"{now[:16] or 'the bare base'} serves again")
-    return Exit.SUCCESS
-
-
-def export(name: str, out: Path, /) -> int:
-    """Copy an adapter, verified, to a new folder that peft and vLLM load.
-
-    Parameters
-    ----------
-    name
-        The beginning of its id.
-    out
-        The folder.
-    """
-    registry = registry_of_adapters()
-    card = registry.card(name)
-    shutil.copytree(registry.folder / card.id, out)
     return Exit.SUCCESS
 
 

@@ -96,9 +96,13 @@ for _name, _function, _help in (
     ("promote", "promote", "Let an adapter serve, if it was measured better."),
     ("rollback", "rollback", "Let the former one serve again."),
     ("history", "history", "List promotions and rollbacks."),
-    ("export", "export", "Copy an adapter to a folder that peft and vLLM load."),
 ):
     adapters.command(f"dualbrain.cli.adapters:{_function}", name=_name, help=_help)
+adapters.command(
+    "dualbrain.cli.adapters_measure:measure", name="measure", help="Ask a candidate and the champion, for the gate."
+)
+adapters.command("dualbrain.cli.adapters_export:export", name="export", help="Write one for peft, vLLM or llama.cpp.")
+adapters.command("dualbrain.cli.adapters_export:diff", name="diff", help="Tell two adapters apart.")
 adapters.command("dualbrain.cli.adapters_make:make", name="make", help="Make a shipped adapter again.")
 
 for verb, function, words in (

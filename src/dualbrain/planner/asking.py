@@ -21,9 +21,9 @@ FREE_BY = "nothing (free decoding)"
 class Asking:
     """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
 
-    `hears_refusals`: a refusal stands in the second prompt. Where it does not, the second shot is drawn by chance
-    (temperature 1, a fixed seed), for the most probable answer has just been refused. `steady`: the prompt begins alike
-    for every question, so that a server may keep what it has read of it.
+    `hears_refusals`: what became of an earlier answer stands in the next prompt. Where it does not, the next shot is
+    drawn by chance (temperature 1, a fixed seed), for the most probable answer has just failed. `steady`: the prompt
+    begins alike for every question, so that a server may keep what it has read of it.
     """
 
     messages: Callable[[PlanRequest], list[Message]]
@@ -38,7 +38,7 @@ def short_messages(request: PlanRequest) -> list[Message]:
     """The prompt that adapters are taught on."""
     return render_short(
         request.scene, request.instruction, robot=request.robot, registry=request.registry_hash,
-        contract_id=request.contract_id,
+        contract_id=request.contract_id, recalled=request.recall.exemplars,
     )  # fmt: skip
 
 

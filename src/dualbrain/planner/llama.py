@@ -139,11 +139,12 @@ class LlamaPlanner:
         return {"lora": told} if told else {}
 
     def _by_chance(self, request: PlanRequest) -> bool:
-        return request.refusal is not None and not self._asking.hears_refusals
+        failed = request.refusal is not None or request.setback is not None
+        return failed and not self._asking.hears_refusals
 
     def _constrained_by(self, request: PlanRequest) -> str:
         engine = FREE_BY if self._asking.grammar is None else CONSTRAINED_BY
-        return f"{engine}; second shot by chance" if self._by_chance(request) else engine
+        return f"{engine}; drawn by chance after a failure" if self._by_chance(request) else engine
 
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         try:

@@ -75,7 +75,8 @@ def rerun(ledger: LedgerReader, memo: Memo, *, tries: int, seed: int, actor: str
     stored = msgspec.json.decode(ledger.event(memo.seq).payload, type=_Stored)
     if not stored.episode.contract or memo.Delta is None:
         raise InvalidSetup("memory to replay", got=memo.kind, allowed="one whose contract was carried out", fix=memo.id)
-    done = [_once(stored, memo.robot, np.random.default_rng([seed, number])) for number in range(tries)]
+    contract = stored.episode.contract
+    done = [_once(stored, contract, memo.robot, np.random.default_rng([seed, number])) for number in range(tries)]
     reason, agrees = verdict(memo.r, memo.Delta, done)
     kinds, Deltas = tuple(one.kind for one in done), tuple(one.Delta for one in done)
     return ReplayFinding(memo.id, agrees, memo.kind, kinds, Deltas, reason, actor)
@@ -99,7 +100,13 @@ def verdict(r: int, Delta: float, done: list[Try]) -> tuple[str, bool]:
     return told, True
 
 
-def _once(stored: _Stored, robot: str, rng: np.random.Generator) -> Try:
+def run_instead(ledger: LedgerReader, memo: Memo, contract: dict[str, Any], *, seed: int) -> Try:
+    """What becomes of another `contract` in the world of `memo`, once; raises `InvalidSetup` if that cannot be."""
+    stored = msgspec.json.decode(ledger.event(memo.seq).payload, type=_Stored)
+    return _once(stored, contract, memo.robot, np.random.default_rng([seed, memo.seq]))
+
+
+def _once(stored: _Stored, contract: dict[str, Any] | None, robot: str, rng: np.random.Generator) -> Try:
     body = load_body(robot)
     spec = remembered_scene(stored.episode.scene, rng, spread=SPREAD)
     plant = open_plant(spec, body, visuals=False)
@@ -115,7 +122,7 @@ def _once(stored: _Stored, robot: str, rng: np.random.Generator) -> Try:
         phase_changed=world.allow,
     )
     layer.hold(0.5)
-    accepted = _accepted(layer, body, stored.episode.contract)
+    accepted = _accepted(layer, body, contract)
     if isinstance(accepted, Rejected):
         return Try("refused", None, accepted.hint)
     outcome = layer.run(accepted)

@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from dualbrain import __version__, weights
-from dualbrain.adaptation.serving.adapted import AdaptedPlanner
-from dualbrain.adaptation.serving.opening import open_planner
+from dualbrain.adaptation.serving.opening import open_planner, origin
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.site_file import read_site
 from dualbrain.errors import InvalidSetup
@@ -252,13 +251,10 @@ class Session:
         path.write_bytes(msgspec.json.format(msgspec.json.encode(episode), indent=2))
 
     def _versions(self) -> dict[str, str]:
-        versions = {
+        return {
             "dualbrain": __version__, "kernel": kernel_hash(), "mujoco": metadata.version("mujoco"),
             "prompt": template_hash(), "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
-        }  # fmt: skip
-        if isinstance(self.planner, AdaptedPlanner):
-            versions |= {"prompt": self.planner.template, "adapter": self.planner.card.id}
-        return versions
+        } | origin(self.planner)  # fmt: skip
 
     def __enter__(self) -> Self:
         """The session itself."""

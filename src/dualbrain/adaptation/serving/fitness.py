@@ -11,7 +11,7 @@ FIX = "Fit an adapter for what is here: `dualbrain adapt`."
 
 def vocabularies(card: AdapterCard) -> dict[str, str]:
     """Hash of the vocabulary by robot, for every robot that the adapter was taught."""
-    return {card.robot: card.registry} | dict(getattr(card, "also", {}))
+    return {card.robot: card.registry} | card.also
 
 
 def require_prompt(card: AdapterCard) -> None:

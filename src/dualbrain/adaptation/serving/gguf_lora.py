@@ -7,14 +7,12 @@ rows of W are rows of B, so only B moves. Guarded by a golden test: torch's logi
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.adaptation.durable import whole_file
 from dualbrain.adaptation.serving.gguf_base import GgufBase, read_gguf_base
 from dualbrain.adaptation.serving.peft_lora import Matrix, Pair, read_lora
 from dualbrain.errors import InvalidSetup
@@ -28,12 +26,24 @@ def convert(adapter: Path, base: Path, out: Path) -> int:
 
     Promise: `out` is whole or as it was before. Raises `InvalidSetup` for what cannot be served alike, `DiskFull`.
     """
-    pairs, facts = read_lora(adapter), read_gguf_base(base)
+    return write_gguf_lora(read_lora(adapter), base, out)
+
+
+def write_gguf_lora(pairs: dict[str, Pair], base: Path, out: Path) -> int:
+    """As `convert`, from pairs that were read already."""
+    facts = read_gguf_base(base)
+    placed = in_place(pairs, facts)
+    with whole_file(out) as beside:
+        _write_gguf(placed, facts.architecture, beside)
+    return len(placed)
+
+
+def in_place(pairs: dict[str, Pair], facts: GgufBase) -> dict[str, Pair]:
+    """The pairs by the base's tensor that each sits on, rows in the base's order; raises `InvalidSetup`."""
     placed = {facts.place(module): _fitted(module, pair, facts) for module, pair in pairs.items()}
     if len(placed) != len(pairs):
         raise InvalidSetup("LoRA layers", got="two for one tensor of the base", allowed="one each")
-    _write(placed, facts.architecture, out)
-    return len(placed)
+    return placed
 
 
 def permuted(rows: Matrix, heads: int) -> Matrix:
@@ -53,27 +63,11 @@ def _fitted(module: str, pair: Pair, facts: GgufBase) -> Pair:
     return Pair(pair.a, permuted(pair.b, facts.heads if layer == "attn_q" else facts.kv_heads))
 
 
-def _write(placed: dict[str, Pair], architecture: str, out: Path) -> None:
-    """The file, written beside its place, synced, and moved there by one step."""
-    descriptor, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
-    os.close(descriptor)
-    try:
-        _write_gguf(placed, architecture, name)
-        with open(name, "rb") as written:
-            os.fsync(written.fileno())
-        Path(name).replace(out)
-        sync_folder(out.parent)
-    except OSError as error:
-        raise DiskFull(out, error.strerror or str(error)) from error
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _write_gguf(placed: dict[str, Pair], architecture: str, name: str) -> None:
+def _write_gguf(placed: dict[str, Pair], architecture: str, path: Path) -> None:
     """α is 1 and B is multiplied by r, so that llama.cpp's α/r leaves the B that was given, whatever r a layer has."""
     import gguf  # noqa: PLC0415  (only where an adapter is served)
 
-    writer: Any = gguf.GGUFWriter(name, architecture)
+    writer: Any = gguf.GGUFWriter(path, architecture)
     writer.add_type("adapter")
     writer.add_string("adapter.type", "lora")
     writer.add_float32("adapter.lora.alpha", 1.0)

@@ -8,12 +8,18 @@ from dualbrain.adaptation.adapters import BARE, Adapters
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
 from dualbrain.errors import InvalidSetup
 
-PREFIX, CHAMPION = "adapter:", "champion"
+PREFIX, CHAMPION, SHADOW = "adapter:", "champion", "shadow:"
 
 
 def is_adapter(name: str) -> bool:
     """Whether a planner's name means an adapter."""
     return name.startswith(PREFIX) or name in packaged_names()
+
+
+def shadow_parts(name: str) -> tuple[str, str]:
+    """`shadow:CANDIDATE@PLANNER` as the candidate's name and the planner's; without one, the champion serves."""
+    candidate, _, serving = name.removeprefix(SHADOW).partition("@")
+    return candidate if is_adapter(candidate) else PREFIX + candidate, serving or PREFIX + CHAMPION
 
 
 def folder_of(name: str, adapters: Adapters, robot: str = "") -> Path:

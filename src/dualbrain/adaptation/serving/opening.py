@@ -6,12 +6,13 @@ from pathlib import Path
 
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
-from dualbrain.adaptation.serving.canary import Watch
+from dualbrain.adaptation.serving.canary import SCENES, Watch
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.gguf_cache import worn
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.names import PREFIX, folder_of, is_adapter
+from dualbrain.adaptation.serving.names import PREFIX, SHADOW, folder_of, is_adapter, shadow_parts
 from dualbrain.adaptation.serving.packaged import packaged_names
+from dualbrain.adaptation.serving.shadow import Shadowed
 from dualbrain.adaptation.serving.speaking import runtime_of
 from dualbrain.errors import UnknownName
 from dualbrain.planner import registry as plain
@@ -21,7 +22,7 @@ from dualbrain.planner.protocol import Planner
 
 N_CTX = 4096
 """Tokens of context: the longest short prompt with its exemplars and the longest answer fit."""
-CANARIES = "canaries"
+CANARIES, SHADOWS = "canaries", "shadows"
 
 
 def open_planner(
@@ -30,13 +31,22 @@ def open_planner(
 ) -> Planner:  # fmt: skip
     """The planner called `name`, ready to propose.
 
-    `adapter:ID`, `adapter:champion`, the name of a packaged adapter; all else as `planner.registry.open_planner` has
-    it, unchanged. `adapters` is the folder of the registry. With `robot` (and the hash `registry` of its vocabulary) an
-    adapter that was not taught them is refused before anything is started. Raises `InvalidSetup`, `UnknownName`,
+    `adapter:ID`, `adapter:champion`, the name of a packaged adapter, `shadow:ID@PLANNER` for a candidate that is asked
+    too and heard by nobody; all else as `planner.registry.open_planner` has it, unchanged. `adapters` is the folder of
+    the registry. With `robot` (and the hash `registry` of its vocabulary) an adapter that was not taught them is
+    refused before anything is started. Raises `InvalidSetup`, `UnknownName`,
     `MissingPart`, `WrongHash`, `NotItself`.
     """
+    config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
+    if name.startswith(SHADOW):
+        candidate, serving = shadow_parts(name)
+        shadow = open_adapter(candidate, cache, adapters=adapters, robot=robot, registry=registry, config=config)
+        served = open_planner(
+            serving, cache, adapters=adapters, robot=robot, registry=registry, key=key, dialect=dialect,
+            threads=threads, timeout_s=timeout_s, prefixes=prefixes,
+        )  # fmt: skip
+        return Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
     if is_adapter(name):
-        config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
         return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, config=config)
     try:
         return plain.open_planner(
@@ -61,6 +71,17 @@ def open_adapter(
     return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack)), card, watch)
 
 
+def examine(folder: Path, cache: Path, adapters: Path) -> str:
+    """What is wrong with the answers of the adapter in `folder` to all its canaries, "" if nothing is."""
+    stack, config = stack_of(folder, cache), LlamaConfig(n_ctx=N_CTX)
+    require_prompt(stack.top)
+    planner = wear(stack, cache, config)
+    try:
+        return watch_of(stack, cache, adapters, config)(planner, most=len(SCENES))
+    finally:
+        planner.close()
+
+
 def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", asking: Asking = SHORT) -> LlamaPlanner:
     """A process of the stack's model with its adapters, asked by `asking`."""
     return LlamaPlanner(called or stack.base, stack.gguf, config, asking=asking, adapters=worn(stack, cache))
@@ -70,6 +91,17 @@ def watch_of(stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> 
     """The canaries of the adapter on top."""
     runtime = runtime_of(stack.gguf)
     return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config))
+
+
+def origin(planner: Planner) -> dict[str, str]:
+    """Prompt template and adapter of the planner that answers, for the record; empty for one without an adapter."""
+    serving = planner.serving if isinstance(planner, Shadowed) else planner
+    return {"prompt": serving.template, "adapter": serving.card.id} if isinstance(serving, AdaptedPlanner) else {}
+
+
+def shadow_log(adapters: Path, adapter: str) -> Path:
+    """Where the answers of a candidate in the shadow are written down."""
+    return adapters / SHADOWS / f"{adapter}.jsonl"
 
 
 def author(name: str, stack: Stack) -> str:

@@ -1,0 +1,97 @@
+"""dualbrain adapters export and diff: an adapter for other programs, and what tells two of them apart."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dualbrain.cli.adapters import registry_of_adapters
+from dualbrain.cli.console import Account, answer
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache
+from dualbrain.cli.memory_open import tell
+from dualbrain.errors import InvalidSetup
+
+Flag = Annotated[bool, Parameter(negative="")]
+Form = Literal["peft", "gguf", "merged"]
+
+
+def export(name: str, out: Path, /, *, form: Form = "peft") -> int:
+    """Write an adapter, verified, for other programs; what it sits on besides the model is put into it.
+
+    Parameters
+    ----------
+    name
+        The beginning of its id, or the name of one that comes with dualbrain.
+    out
+        A new folder (peft), or a new file (gguf, merged).
+    form
+        peft: a folder that peft and vLLM load on the dequantised base. gguf: a GGUF-LoRA file for llama.cpp on the
+        untouched base. merged: base and adapter as one GGUF in float16, for programs that load no adapters.
+    """
+    from dualbrain.adaptation.serving.layers import stack_of
+    from dualbrain.adaptation.serving.names import folder_of
+
+    if out.exists():
+        raise InvalidSetup("place to export to", got=str(out), allowed="a name that is free")
+    folder = folder_of(name if name.startswith("adapter:") else f"adapter:{name}", registry_of_adapters())
+    if form == "peft" and _alone(folder):
+        shutil.copytree(folder, out)
+    else:
+        from dualbrain.adaptation.serving.combined import combined, write_peft
+
+        stack = stack_of(folder, cache())
+        pairs = combined([layer.folder for layer in stack.layers])
+        if form == "peft":
+            write_peft(pairs, out, base=stack.layers[0].card.base_sha256)
+        else:
+            from dualbrain.adaptation.serving.gguf_lora import write_gguf_lora
+            from dualbrain.adaptation.serving.merged_gguf import write_merged
+
+            (write_gguf_lora if form == "gguf" else write_merged)(pairs, stack.gguf, out)
+    Account().print(f"written: {out}")
+    return Exit.SUCCESS
+
+
+def _alone(folder: Path) -> bool:
+    """Whether the adapter sits on a model and not on another adapter."""
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.packaged import packaged_names
+
+    return read_adapter_card(folder).base not in packaged_names()
+
+
+def diff(first: str, second: str, /, *, json: Flag = False) -> int:
+    """Tell two adapters apart: how they were made, and how far what they compute differs, layer by layer.
+
+    Parameters
+    ----------
+    first
+        The beginning of an id, or the name of one that comes with dualbrain.
+    second
+        Another.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.difference import gaps, overall, told_apart
+    from dualbrain.adaptation.serving.names import folder_of
+    from dualbrain.adaptation.serving.peft_lora import read_lora
+
+    registry = registry_of_adapters()
+    folders = [folder_of(f"adapter:{name}", registry) for name in (first, second)]
+    cards = [read_adapter_card(folder) for folder in folders]
+    apart, found = told_apart(cards[0], cards[1]), gaps(*(read_lora(folder) for folder in folders))
+    if json:
+        tell({"cards": apart, "all": overall(found), "layers": found})
+        return Exit.SUCCESS
+    for name, (ours, theirs) in apart.items():
+        answer(f"{name}: {ours} | {theirs}")
+    whole = overall(found)
+    answer(f"‖BA‖: {whole.first:.3g} | {whole.second:.3g}; ‖difference‖: {whole.apart:.3g}")
+    for gap in found[:5]:
+        answer(f"  {gap.layer}: {gap.first:.3g} | {gap.second:.3g}; {gap.apart:.3g}")
+    return Exit.SUCCESS

@@ -1,0 +1,116 @@
+"""dualbrain adapters measure: a candidate and the champion asked the same held-out questions, for the gate."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.adapters import registry_of_adapters
+from dualbrain.cli.console import Account
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache
+from dualbrain.cli.memory_open import reader, tell
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.serving.layers import Stack
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def measure(
+    name: str, /, *, data: Path, out: Path, most: int = 0, fly: Flag = False, ledger: Path | None = None,
+    seed: int = 0, threads: int = 1, json: Flag = False,
+) -> int:  # fmt: skip
+    """Ask an adapter and the present champion the same held-out questions, and write what the gate wants to know.
+
+    Both answer freely, in the runtime that serves: no grammar, no schema, no examples. Then
+    `dualbrain adapters promote NAME --measured OUT`.
+
+    Parameters
+    ----------
+    name
+        The candidate: the beginning of its id.
+    data
+        A data set, as `dualbrain adapt --export` writes it or a fit leaves it; its held-out part is asked.
+    out
+        Where the results go.
+    most
+        Ask at most so many questions, evenly chosen; 0 means all.
+    fly
+        Carry each contract out in simulation, in the world its memory was made in: success and Δ in closed loop.
+    ledger
+        The memory that the data set was made of, for --fly; default in dualbrain's home.
+    seed
+        Everything random in these worlds.
+    threads
+        Processor threads of the model; more than one only on an idle machine.
+    json
+        Print the results as one JSON object on stdout.
+    """
+    from dualbrain.adaptation.adapters import BARE, place_of
+    from dualbrain.adaptation.dataset import read_dataset
+    from dualbrain.adaptation.durable import write_durably
+    from dualbrain.adaptation.promotion import Measured
+    from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
+    from dualbrain.adaptation.serving.layers import stack_of
+    from dualbrain.adaptation.serving.measure import of_robot, questions
+    from dualbrain.runtime.vocabulary import vocabulary
+
+    registry, dataset = registry_of_adapters(), read_dataset(data)
+    stack = stack_of(registry.folder / registry.find(name), cache())
+    vocabulary_here = vocabulary(stack.top.robot)
+    require_prompt(stack.top)
+    require_fit(stack.top, stack.top.robot, vocabulary_here.hash)
+    asked = questions(of_robot(dataset.held_out, stack.top.robot), most)
+    champion = registry.champion(place_of(stack.top))
+    present = stack_of(registry.folder / champion, cache()) if champion != BARE else stack.below
+    with ExitStack() as opened:
+        flight = None
+        if fly:
+            from dualbrain.runtime.remembered_flight import remembered_flight
+
+            flight = remembered_flight(opened.enter_context(reader(ledger)), seed=seed)
+        results = [
+            _results(one, who, asked, vocabulary_here, flight, threads)
+            for one, who in ((stack, stack.top.id), (present, champion))
+        ]
+    measured = Measured(*results)
+    write_durably(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
+    if json:
+        tell(measured)
+    Account().print(f"written: {out}")
+    return Exit.SUCCESS
+
+
+def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:
+    """What one of the two did."""
+    from dualbrain.adaptation.serving.measure import measure as ask
+    from dualbrain.adaptation.serving.opening import N_CTX, wear
+    from dualbrain.adaptation.serving.speaking import runtime_of
+    from dualbrain.planner.asking import FREE
+    from dualbrain.planner.llama import LlamaConfig
+
+    account, short = Account(), who[:16] or "the bare base"
+    planner = wear(stack, cache(), LlamaConfig(threads=threads, n_ctx=N_CTX), called=short, asking=FREE)
+    try:
+        found = ask(
+            planner, asked, registry, adapter=who, runtime=runtime_of(stack.gguf), fly=flight,
+            tell=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_word(trial)}"),
+        )  # fmt: skip
+    finally:
+        planner.close()
+    rows = found.trials
+    account.print(
+        f"{short}: {sum(r.compliant for r in rows)} of {len(rows)} compliant, {sum(r.right for r in rows)} right, "
+        f"perplexity {found.perplexity:.2f}"
+    )
+    return found
+
+
+def _word(trial: Any) -> str:
+    words = "right" if trial.right else "compliant" if trial.compliant else "not compliant"
+    return words if trial.success is None else f"{words}, {'success' if trial.success else 'no success'}"
