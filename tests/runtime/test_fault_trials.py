@@ -16,6 +16,7 @@ SAMPLE = [
     ("clock", "stuck", "between write and acknowledgement"),
     ("qp", "off", "closing"),
     ("qp", "garbage", "descending"),
+    ("qp", "stuck", "carrying"),
     ("drive", "stuck", "closing"),
     ("drive", "off", "carrying"),
     ("socket", "garbage", "closing"),

@@ -17,7 +17,7 @@ from dualbrain.safety.enforcement import Enforcement, Standstill
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.order import Order
 from dualbrain.safety.result import Filtered
-from dualbrain.safety.supervised import supervised
+from dualbrain.safety.supervised import answers, supervised
 from dualbrain.safety.supervisor import Supervisor
 from dualbrain.safety.timing import SIMULATED, Timing
 from dualbrain.safety.watch import Bounds, Watch, answered
@@ -116,14 +116,15 @@ class Spine:
     def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> Filtered:
         """The control to write under the order in force: scaled, filtered, checked once more (`touched` says how)."""
         scale = self.enforcement.scale(self.order, self.stage)
-        result = self.safety.filter(state, u_nom if scale == 1.0 else scale * u_nom, now)
+        asked = u_nom if scale == 1.0 else scale * u_nom
+        result = self.safety.filter(state, asked, now)
         self._pending |= answered(result)
         if not guard:
             result = result.unfiltered()
         self.touched = scale
         if self.enforcement.standing or not self.driving:
             self.touched, u = STANDING, np.zeros_like(result.u)
-        elif bad := self.watch.commanded(result.u):
+        elif bad := self.watch.commanded(result.u) or (0 if answers(result, asked) else Condition.CONTROL_BAD):
             self._pending |= bad
             self.touched, u = BRAKED, self._braking()
         else:

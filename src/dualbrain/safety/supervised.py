@@ -1,4 +1,4 @@
-"""The filter's answer after the supervisor: the control finally written, and δ with its third cause.
+"""The filter's answer after the supervisor: whether it is one, the control finally written, and δ with its third cause.
 
     δ = ‖u − u_nom‖_W = δ_rows + δ_box + δ_supervisor      (paper 4.4, with u_nom as the skill meant it)
 
@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import isfinite, sqrt
 
 import msgspec
 import numpy as np
@@ -19,12 +19,29 @@ Array = NDArray[np.float64]
 
 LARGEST = 2.0
 """δ lies in [0, 2]."""
+ROUNDING = 1e-3
+"""How far δ as told and as measured may lie apart: far above the kernel's rounding, 0.1 % of full speed."""
+
+
+def intervention(result: Filtered, u: Array, u_nom: Array) -> float:
+    """δ of `u` against `u_nom`, each (n,) [rad/s], as in the kernel."""
+    gap = (u - u_nom) / np.array(result.names.v_max)
+    return min(sqrt(float(np.mean(gap * gap))), LARGEST)
+
+
+def answers(result: Filtered, u_nom: Array) -> bool:
+    """Whether the control in `result` is the one that its δ speaks of, for the nominal (n,) [rad/s] that was asked for.
+
+    An answer to an earlier question (a filter that hangs and repeats itself) is found out as soon as it matters: when
+    nominal or control should have changed. A nominal that is not finite has no δ; the filter refuses it by itself.
+    """
+    told = intervention(result, result.u, u_nom)
+    return not isfinite(told) or abs(told - result.delta) <= ROUNDING
 
 
 def supervised(result: Filtered, u_nom: Array, u: Array) -> Filtered:
     """`result` with the control `u` that is written, and δ against the skill's own `u_nom`, each (n,) [rad/s]."""
-    gap = (u - u_nom) / np.array(result.names.v_max)
-    total = min(sqrt(float(np.mean(gap * gap))), LARGEST)
+    total = intervention(result, u, u_nom)
     share = min(1.0, total / result.delta) if result.delta > 0.0 else 0.0
     rows, box = share * result.delta_rows, share * result.delta_box
     return msgspec.structs.replace(
