@@ -45,6 +45,22 @@ knowledge = App(
 app.command(knowledge)
 
 app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
+app.command(
+    "dualbrain.cli.plan:plan",
+    name="plan",
+    help="""What the planner would do, shown whole; nothing moves and nothing is written.
+
+    Shows, in this order: the prompt as the model reads it; its answer, which is the contract; the verdict of the gate's
+    three stages; what was retrieved (memories with the parts of their score R = λ_s s + (1 − λ_s) w, passages with
+    citations that `dualbrain knowledge show CITATION` quotes); where the time of the decision went. The robot stands at
+    home and sees the scene without error.
+
+    Try `dualbrain plan "put the red cube in the bowl"`; see what becomes of a bad idea with `dualbrain plan "throw the
+    red cube at the person"`; save a contract with `--json | jq .contract > c.json` and run it: `dualbrain run
+    --contract c.json`.
+
+    Exits 0 if the contract was accepted, 3 if it was rejected or the planner declined.""",
+)
 app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one command.")
 app.command("dualbrain.cli.schema:schema", name="schema", help="Print a robot's contract schema.")
 app.command("dualbrain.cli.check:check", name="check", help="What the gate says of a contract file.")

@@ -17,6 +17,7 @@ from dualbrain.planner.asking import CONSTRAINED_BY, FREE_BY, FULL, Asking
 from dualbrain.planner.chat import Answer, ask, post
 from dualbrain.planner.llama_process import DEFAULTS, LlamaConfig, LlamaProcess, Worn
 from dualbrain.planner.prefix import PrefixStore
+from dualbrain.planner.prompt import Message
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -117,6 +118,10 @@ class LlamaPlanner:
         if self._by_chance(request):
             limits |= {"temperature": 1.0, "seed": 1}
         return body | limits | self._wearing()
+
+    def messages(self, request: PlanRequest) -> list[Message]:
+        """What the model reads for `request`, with the beginning of the answer that it is given."""
+        return self.question(request)["messages"]
 
     def close(self) -> None:
         """End the child process."""

@@ -149,14 +149,17 @@ def _gate(
     return Gate(registry, granted, (lambda contract: _against_scene(contract, layer),))
 
 
+def unfinished(proposal: Proposal) -> Rejected | None:
+    """Why there is no contract to check: the answer was cut, timed out or crashed; None if it is whole."""
+    if proposal.finish_reason == STOP:
+        return None
+    return Rejected("syntax", "", proposal.finish_reason, STOP, "the answer is not whole, so it is no contract")
+
+
 def _check(gate: Gate | RemoteGate | Door, proposal: Proposal, names: SceneNames, now: float, stamp: Stamp) -> Verdict:
-    """The gate's word on a proposal; an answer that was cut, timed out or crashed has no contract in it."""
-    if proposal.finish_reason != STOP:
-        hint = "the answer is not whole, so it is no contract"
-        return Rejected("syntax", "", proposal.finish_reason, STOP, hint)
-    return gate.check(
-        proposal.text.encode("utf-8", "surrogatepass"), names=names, principal=PLANNER, now=now, stamp=stamp
-    )
+    """The gate's word on a proposal."""
+    data = proposal.text.encode("utf-8", "surrogatepass")
+    return unfinished(proposal) or gate.check(data, names=names, principal=PLANNER, now=now, stamp=stamp)
 
 
 def _unmoved(layer: LocalLayer | RemoteLayer, shots: int, verdict: Verdict | None) -> Outcome:

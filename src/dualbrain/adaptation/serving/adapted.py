@@ -9,6 +9,7 @@ from dualbrain.adaptation.serving.fitness import require_fit
 from dualbrain.errors import DualbrainError
 from dualbrain.planner import protocol
 from dualbrain.planner.llama import LlamaPlanner
+from dualbrain.planner.prompt import Message
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -59,6 +60,10 @@ class AdaptedPlanner:
         if fault := self._fault():
             return Proposal("", f"{protocol.ERROR}: not the adapter it was: {fault}", self.name, "", {"total": 0.0})
         return self._inner.propose(request)
+
+    def messages(self, request: PlanRequest) -> list[Message]:
+        """What the model reads for `request`."""
+        return self._inner.messages(request)
 
     def close(self) -> None:
         """End the process."""

@@ -1,0 +1,112 @@
+"""Planning without a robot: the question, the answer and the gate's word, and nothing moves.
+
+The same question and the same gate as in a run, from the scene as it is specified (a run sees it with perception's
+errors), with the body at home. Memory and documents are only read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import msgspec
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.memory.posture import Posture
+from dualbrain.planner.prompt import MAX_RECALLED, Message, render
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Attempt, Proposal, Recall, Scene
+from dualbrain.runtime.decision import timings
+from dualbrain.runtime.desk import limb_at_home
+from dualbrain.runtime.episode import unfinished
+from dualbrain.runtime.question import LookUp, Reminder, Standpoint, question, reminded
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.storable import storable
+from dualbrain.runtime.thinking import Clock
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One question and its answer: what the planner read, what it wrote, what the gate said."""
+
+    prompt: tuple[Message, ...]
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision."""
+
+    summary: str
+    recall: Recall
+    shots: tuple[Shot, ...]
+    timings: dict[str, float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The gate's last word."""
+        return self.shots[-1].attempt.verdict
+
+    @property
+    def declined(self) -> bool:
+        """Whether the planner refused the instruction."""
+        verdict = self.verdict
+        return isinstance(verdict, Accepted) and verdict.contract.action_sequence[0].skill == "decline"
+
+
+def from_home(robot: str, scene: Scene) -> Standpoint:
+    """`robot` at rest at home with an empty hand before `scene`."""
+    body = load_body(robot)
+    state = at_home(body)
+    return Standpoint(body, scene, None, Posture(tuple(state.q.tolist()), state.opening))
+
+
+def plan(
+    instruction: str, here: Standpoint, planner: Planner, memory: Reminder | None, look_up: LookUp, *, shots: int,
+    clock: Clock,
+) -> Planned:  # fmt: skip
+    """Ask `planner` for a contract, at most `shots` times, each time with the gate's last refusal in the prompt."""
+    recall, retrieval = _timed(clock, lambda: _reminded(instruction, here, memory, look_up))
+    request = question(instruction, here, recall)
+    limb = limb_at_home(here.body.name, here.scene)
+    gate = Gate(here.registry, grants(here.registry), scene_rules(here.scene, limb))
+    done: list[Shot] = []
+    while len(done) < shots:
+        prompt, proposal = tuple(prompt_of(planner, request)), planner.propose(request)
+        verdict, spent = _timed(clock, lambda answer=proposal: unfinished(answer) or _check(gate, answer, here.scene))
+        kept = msgspec.structs.replace(proposal, text=storable(proposal.text))
+        done.append(Shot(prompt, Attempt(kept, verdict, spent)))
+        if not isinstance(verdict, Rejected):
+            break
+        request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
+    return Planned(here.summary, recall, tuple(done), timings([one.attempt for one in done], retrieval))
+
+
+def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
+    data = answer.text.encode("utf-8", "surrogatepass")
+    return gate.check(data, names=scene_names(scene), principal=PLANNER, now=0.0)
+
+
+def prompt_of(planner: Planner, request: PlanRequest) -> Sequence[Message]:
+    """What `planner` reads for `request`: its own way of putting it, or the full prompt."""
+    own: Callable[[PlanRequest], Sequence[Message]] | None = getattr(planner, "messages", None)
+    return own(request) if own else render(request)
+
+
+def _reminded(instruction: str, here: Standpoint, memory: Reminder | None, look_up: LookUp) -> Recall:
+    if memory is None:
+        return Recall(passages=look_up(instruction, here.summary))
+    return reminded(instruction, here, memory, MAX_RECALLED, look_up)
+
+
+def _timed(clock: Clock, do: Callable[[], T]) -> tuple[T, float]:
+    start = clock()
+    return do(), clock() - start
