@@ -55,7 +55,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
 
 
 def test_a_share_without_spread_has_jeffreys_interval():
-    found = estimate(clusters([[0.0] * 5] * 4))
+    found = estimate(clusters([[0.0] * 5] * 4), share=True)
     assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 20.5).ppf(0.975)))
     assert jeffreys(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
 

@@ -70,6 +70,11 @@ app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="A person's
 app.command("dualbrain.cli.fault:fault", name="fault", help="Break one thing at the worst moment, and look.")
 app.command("dualbrain.cli.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
+app.command(
+    "dualbrain.cli.evaluate:evaluate", name="evaluate", help="Compare methods by the paper's protocol, resumably."
+)
+app.command("dualbrain.cli.report:report", name="report", help="What an evaluation found, as one HTML file.")
+app.command("dualbrain.cli.report:compare", name="compare", help="What changed between two evaluations.")
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),
     ("show", "memory:show", "Show one memory whole, with everything that moved its weight."),

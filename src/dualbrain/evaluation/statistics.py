@@ -35,23 +35,24 @@ class Estimate:
     clusters: int
 
 
-def estimate(values: Clusters, *, seed: int = 0) -> Estimate:
+def estimate(values: Clusters, *, share: bool = False, seed: int = 0) -> Estimate:
     """Mean over all values; the interval by a bootstrap over clusters.
 
-    A share that is 0 or 1 everywhere, and any value of a single cluster, has no spread to draw from: there the interval
-    of a share is Jeffreys', and that of any other number is unbounded (−∞ to ∞).
+    A `share` (values 0 and 1) that is the same everywhere, and any value of a single cluster, has no spread to draw
+    from: there the interval of a share is Jeffreys', and that of any other number is unbounded (−∞ to ∞).
     """
     flat = np.array([value for one in values.values() for value in one], float)
     if not len(flat):
         return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
     sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
     filled = [np.array(one, float) for one in values.values() if len(one)]
-    low, high = _interval(_draws(filled, seed), flat, len(filled))
+    low, high = _interval(
+        _draws(filled, seed), flat, len(filled), share=share and bool(np.isin(flat, (0.0, 1.0)).all())
+    )
     return Estimate(float(flat.mean()), sd, low, high, len(flat), len(filled))
 
 
-def _interval(draws: Array, flat: Array, clusters: int) -> tuple[float, float]:
-    share = bool(np.isin(flat, (0.0, 1.0)).all())
+def _interval(draws: Array, flat: Array, clusters: int, *, share: bool) -> tuple[float, float]:
     if clusters > 1 and not (share and flat.std() == 0.0):
         return percentiles(draws)
     return jeffreys(int(flat.sum()), len(flat)) if share else (-np.inf, np.inf)

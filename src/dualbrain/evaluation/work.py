@@ -17,7 +17,7 @@ from dualbrain.evaluation.case import Case, Catalogue, everyday
 from dualbrain.evaluation.flight import Clock, Flight, Means, fly
 from dualbrain.evaluation.ledgers import RunFolder, memory_at, plain, rule, when
 from dualbrain.evaluation.method import Method, find_method
-from dualbrain.evaluation.planners import Planners, Sources
+from dualbrain.evaluation.planners import DRAWN, Planners, Sources, planner_name
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
@@ -89,7 +89,7 @@ class Work:
         if memory is not None and self._suite.memory.utility and method.remembers:
             flight = self._with_uses(flight, planner, case)
         place = replace(
-            place, asked=planner.asked > before,
+            place, asked=planner.asked > before and planner_name(self._suite, method) not in DRAWN,
             lost_s=seconds_lost(case, flight, self._at.clock) if self._suite.bare and method.guard else None,
         )  # fmt: skip
         if memory is not None:

@@ -1,0 +1,204 @@
+"""dualbrain evaluate: the paper's evaluation protocol, from a suite to a table of episodes."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.console import Account, answer
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import cache
+from dualbrain.errors import InvalidSetup, WrongUsage
+
+Flag = Annotated[bool, Parameter(negative="")]
+GUESS_S = 8.0
+"""Wall time of an episode that nobody has measured yet [s]."""
+GUESS_PLAN_S = 20.0
+"""And of a question to a language model on one core."""
+
+
+def evaluate(
+    *, suite: str = "smoke", only: Annotated[str, Parameter(name="--methods")] = "",
+    episodes: int = 0, robots: str = "", planner: str = "",
+    out: Path | None = None, jobs: int = 0, dry_run: Flag = False, plan_only: Flag = False, again: str = "",
+    json: Flag = False,
+) -> int:  # fmt: skip
+    """Compare methods: every one flies the same scenes, seeds and words; the results are one Parquet file.
+
+    Passes, each resumable: ε from pilot episodes, the ledger that all methods with memory start from, the planner's
+    answers (kept by question), the episodes. Killed in any way, the same command with the same --out goes on where it
+    was. Read the results with `dualbrain report DIR`, two of them with `dualbrain compare DIR DIR`.
+
+    For example: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`.
+
+    Parameters
+    ----------
+    suite
+        Name of a suite that comes with dualbrain (smoke, first, paper) or a TOML file; see docs/evaluation.md.
+    only
+        Only these, as B1,B2,B3 (also B4, M, P, PE, Full, G, the adversary's A1-A3, and the ablations).
+    episodes
+        Episodes of each method in each family, instead of the suite's: as many scenes as that takes, openly told.
+    robots
+        Only these robots, as panda,ur5e.
+    planner
+        Ask this planner (a name of `dualbrain models list`, a URL, `template`) in place of the suite's base.
+    out
+        Folder of results; default runs/evaluate-SUITE. What is there already is not flown again.
+    jobs
+        Processes; default: all cores.
+    dry_run
+        Only say what would be flown and about how long it would take.
+    plan_only
+        Stop after the planner's answers: they can be asked where there is a GPU, and flown elsewhere.
+    again
+        Fly one finished episode again by its key, as the report names it, and say whether it came out the same.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.evaluation.runner import Runner
+
+    chosen = narrowed(suite, only, episodes, robots, planner)
+    folder = out or Path("runs") / f"evaluate-{chosen.name}"
+    account = Account()
+    runner = Runner(chosen, folder, clock=time.monotonic, tell=lambda progress: account.print(_line(progress)))
+    if again:
+        return _again(runner, again, as_json=json)
+    if dry_run:
+        return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
+    return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
+
+
+def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:
+    """The suite with what the command line changes of it, checked again."""
+    from dualbrain.evaluation.suite import check_suite, open_suite
+
+    found, changes = open_suite(suite), dict[str, Any]()
+    if methods:
+        changes["methods"] = tuple(name.strip() for name in methods.split(","))
+    if robots:
+        names = tuple(name.strip() for name in robots.split(","))
+        changes["robots"] = names
+        changes["tasks"] = tuple(
+            msgspec.structs.replace(task, robots=tuple(r for r in task.robots if r in names))
+            for task in found.tasks if not task.robots or set(task.robots) & set(names)
+        )  # fmt: skip
+    if planner:
+        changes["planners"] = found.planners | {"base": planner}
+    if episodes < 0:
+        raise WrongUsage("--episodes", got=episodes, allowed="at least 1")
+    if episodes:
+        seeds = -(-episodes // found.repetitions)
+        changes |= {"seeds": seeds, "runs": min(found.runs, seeds)}
+    if changes:
+        found = msgspec.structs.replace(found, **changes)
+        check_suite(found)
+    return found
+
+
+def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.evaluation.crew import Alone, Processes
+    from dualbrain.evaluation.origin import origin
+    from dualbrain.evaluation.planners import Sources
+    from dualbrain.evaluation.runner import CONFIG, STAGES
+    from dualbrain.evaluation.table_file import FILE, write_table
+    from dualbrain.evaluation.work import Workplace
+
+    runner.prepare(origin())
+    sources = Sources(cache(), os.environ.get("OPENAI_API_KEY", ""))
+    whole = True
+    for stage in STAGES[:-1] if plan_only else STAGES:
+        epsilon = {} if stage == "pilot" else runner.epsilon()
+        place = Workplace(runner.suite, runner.out, sources, time.perf_counter, epsilon)
+        crew = Alone(place.make()) if jobs == 1 else Processes(place.make, jobs)
+        if not runner.advance(stage, crew):
+            whole = False
+            break
+    rows = runner.rows()
+    if rows:
+        config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
+        write_table(rows, config, runner.out / FILE)
+    account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
+    if not whole:
+        account.print(f"not whole: see {runner.out / 'errors.jsonl'}; the same command tries again")
+    if as_json:
+        answer(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": whole}).decode())
+    return Exit.SUCCESS if whole else Exit.FAILED_SAFELY
+
+
+def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:
+    """What would be done, and how long it would take by what was measured here, else by a guess that says so."""
+    from dualbrain.evaluation.runner import STAGES
+
+    left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
+    flown = [line["wall_s"] for line in runner.journal("fly").lines()]
+    asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]
+    episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
+    flying = episode * (left["pilot"] + left["start"] + left["fly"])
+    hours = {"planning": question * left["plan"] / jobs / 3600.0, "flying": flying / jobs / 3600.0}
+    for stage, count in left.items():
+        account.print(f"{stage}: {count} episodes left")
+    basis = "measured here" if flown else "a guess"
+    account.print(
+        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "
+        f"{episode:.1f} s an episode ({basis}) and {question:.1f} s a question ({'measured' if asked else 'a guess'})"
+    )
+    if as_json:
+        answer(msgspec.json.encode({"left": left, "hours": hours, "episode_s": episode, "basis": basis}).decode())
+    return Exit.SUCCESS
+
+
+def _again(runner: Any, key: str, *, as_json: bool) -> int:
+    """One finished episode once more."""
+    from dualbrain.evaluation.again import Watching, again, differs
+
+    rows = {row.key: row for row in runner.rows()}
+    if key not in rows:
+        some = ", ".join(list(rows)[:3])
+        raise InvalidSetup("key of an episode", got=key, allowed=f"one of {len(rows)} in {runner.out}, such as {some}")
+    row = rows[key]
+    flight = again(row, runner.suite, time.perf_counter, Watching())
+    other = differs(row, flight)
+    account = Account()
+    for event in flight.trace.events:
+        account.print(f"{event.t:7.2f} s  {event.text}", markup=False)
+    for violation in flight.episode.judgement.violations if flight.episode.judgement else ():
+        account.print(f"violation {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}")
+    account.print(f"{row.failure or 'success'}: {'as recorded' if not other else '; '.join(other)}", markup=False)
+    if as_json:
+        answer(msgspec.json.encode({"key": key, "same": not other, "differs": other}).decode())
+    return Exit.SUCCESS if not other else Exit.FAILED_SAFELY
+
+
+def _line(progress: Any) -> str:
+    """One finished episode for a person."""
+    line, left = progress.line, progress.seconds_left
+    words = f"{progress.stage} {progress.done}/{progress.total}  {line['key']}"
+    if progress.error:
+        return f"[red]{words}: {progress.error.splitlines()[0]}[/]"
+    if "outcome" in line:
+        words += f": {'success' if line['success'] else line['failure']}"
+        words += f", Δ {line['Delta']:.4f}" if line["Delta"] is not None else ""
+        words += f", {len(line['violations'])} violations" if line["violations"] else ""
+    return f"{words}  [dim]{_time(left)} left[/]"
+
+
+def _time(seconds: float | None) -> str:
+    if seconds is None:
+        return "?"
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 120
+        else f"{seconds / 60:.0f} min"
+        if seconds < 7200
+        else f"{seconds / 3600:.1f} h"
+    )
+
+
+def _mean(values: list[float], guess: float) -> float:
+    return sum(values) / len(values) if values else guess

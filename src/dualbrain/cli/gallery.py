@@ -1,0 +1,38 @@
+"""The photographer of failures: flies an episode again and keeps the picture of the moment that matters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.dashboard.evaluation_report import Shot
+from dualbrain.evaluation.again import Watching, again
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Suite
+from dualbrain.runtime.local_layer import Moment
+from dualbrain.world.pictures import Camera
+
+
+def photograph(row: Row, suite: Suite, clock: Callable[[], float]) -> Shot:
+    """The worst violation as it begins, or else the end of the episode."""
+    worst = max(row.violations, key=lambda one: one.peak, default=None)
+    at = worst.start if worst else float("inf")
+    taken: list[NDArray[np.uint8]] = []
+    plants: list[Any] = []
+
+    def moment(now: Moment) -> None:
+        if now.state.stamp >= at and not taken:
+            taken.append(_snap(plants[0]))
+
+    flight = again(row, suite, clock, Watching(plants.append, moment, visuals=True))
+    picture = taken[0] if taken else _snap(flight.plant)
+    words = f"{worst.kind} {' × '.join(worst.bodies)} at {worst.start:.1f} s" if worst and taken else row.reason
+    return Shot(row, f"{words[:90]} ({row.family}:{row.seed})", picture)
+
+
+def _snap(plant: Any) -> NDArray[np.uint8]:
+    with Camera(plant, width=640, height=480) as camera:
+        return camera.snap().copy()

@@ -1,0 +1,126 @@
+"""dualbrain report and compare: what an evaluation found, as one HTML file and as tables."""
+
+from __future__ import annotations
+
+import os
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.console import Account, answer
+from dualbrain.cli.exits import Exit
+from dualbrain.errors import InvalidSetup
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
+    """Write FOLDER/report.html (one file, works offline) and FOLDER/report.md from the results in FOLDER.
+
+    Verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over repetitions, traces,
+    failures with pictures, latencies, and what was not measured.
+
+    Parameters
+    ----------
+    folder
+        What `dualbrain evaluate --out` names.
+    gallery
+        How many failures are flown again for a picture; default as the suite says, 0 for none.
+    json
+        Print one JSON object on stdout: the verdicts.
+    """
+    from dualbrain.cli.graphics import choose_graphics
+
+    blind = choose_graphics(os.environ)
+    from dualbrain.dashboard.evaluation_report import Told, write_evaluation
+    from dualbrain.evaluation.grids import all_grids
+    from dualbrain.evaluation.hypotheses import answers
+    from dualbrain.evaluation.markdown import page
+    from dualbrain.evaluation.missing import missing
+    from dualbrain.evaluation.plans import Plans
+    from dualbrain.evaluation.work import PLANS
+
+    rows, config, suite = results(folder)
+    account = Account()
+    count = suite.gallery if gallery < 0 else gallery
+    shots = [] if blind or not count else _shots(rows, suite, count, account)
+    if blind and count:
+        account.print(f"no pictures: {blind}")
+    asked = [row.planner_s for row in rows if row.asked]
+    asked += [kept.proposal.timings.get("total", 0.0) for kept in Plans(folder / PLANS).all()]
+    date = datetime.now(UTC).strftime("%Y-%m-%d")
+    command = f"dualbrain evaluate --suite {suite.name} --out {folder.name}"
+    told = Told(rows, suite, config, asked, shots, date, command)
+    write_evaluation(folder / "report.html", told)
+    about = [suite.says, f"{len(rows)} episodes, {date}, code {config['origin']['code']}.", f"Again: `{command}`."]
+    whole = page(f"Evaluation {suite.name}", about, all_grids(rows))
+    listed = "\n".join(f"- {line}" for line in missing(rows, suite))
+    (folder / "report.md").write_text(f"{whole}\n## What was not measured\n\n{listed}\n", encoding="utf-8")
+    found = answers(rows)
+    for one in found:
+        account.print(f"{one.name}: {one.verdict} ({one.says})")
+    account.print(f"report: {folder / 'report.html'}")
+    if json:
+        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in found]
+        answer(msgspec.json.encode(told_json).decode())
+    return Exit.SUCCESS
+
+
+def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
+    """Compare two evaluations place by place: the same methods, scenes, seeds and repetitions in both.
+
+    For each method and metric the second minus the first, with its interval over common clusters and p values corrected
+    over the whole table (Holm).
+
+    Parameters
+    ----------
+    first
+        What `dualbrain evaluate --out` names.
+    second
+        Another one.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.evaluation.changes import changes
+    from dualbrain.evaluation.markdown import grid_lines
+
+    before, after = results(first), results(second)
+    grid = changes(before[0], after[0])
+    if not grid.rows:
+        got = f"no episode of {first} in {second}"
+        raise InvalidSetup("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
+    if json:
+        answer(msgspec.json.encode([dict(zip(grid.head, row, strict=True)) for row in grid.rows]).decode())
+    else:
+        answer("\n".join(grid_lines(grid)))
+    return Exit.SUCCESS
+
+
+def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
+    """Rows, configuration and suite of the results in `folder`."""
+    from dualbrain.evaluation.suite import Suite
+    from dualbrain.evaluation.table_file import FILE, read_table
+
+    path = folder / FILE
+    if not path.is_file():
+        fix = f"Fly them first: dualbrain evaluate --out {folder}"
+        raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
+    rows, config = read_table(path)
+    return rows, config, msgspec.convert(config["suite"], Suite)
+
+
+def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[Any]:
+    """Pictures of failures, one class and method after the other."""
+    from dualbrain.cli.gallery import photograph
+    from dualbrain.evaluation.gallery import chosen
+
+    shots: list[Any] = []
+    for row in chosen(rows, count):
+        began = time.monotonic()
+        shots.append(photograph(row, suite, time.perf_counter))
+        account.print(f"picture of {row.key} ({row.failure})  [dim]{time.monotonic() - began:.0f} s[/]")
+    return shots

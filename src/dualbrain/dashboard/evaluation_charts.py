@@ -1,0 +1,160 @@
+"""Charts of an evaluation: curves over repetitions, traces of one place, latencies; in the page's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dualbrain.dashboard.page import Html
+from dualbrain.dashboard.plots import BLUE, GREEN, INK, MUTED, ORANGE, RED, SKY, STYLE, themed
+from dualbrain.evaluation.grids import by_cluster, methods_of
+from dualbrain.evaluation.metrics import BY_NAME
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.statistics import Estimate, estimate
+from dualbrain.runtime.trace import DEAD_BAND
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = (BLUE, ORANGE, GREEN, RED, SKY, MUTED, INK)
+DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
+CURVES = ("success", "violation rate", "Δ of successes", "intervention frequency")
+LEAST_US = 1.0
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour and dash of the method number `index`: no two alike."""
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index // len(COLOURS) % len(DASHES)]}
+
+
+@contextmanager
+def _canvas(rows: int, columns: int, height: float) -> Iterator[tuple[Any, Any, StringIO]]:
+    import matplotlib as mpl  # noqa: PLC0415  (heavy imports are lazy)
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    out = StringIO()
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.4, height))
+        axes = figure.subplots(rows, columns, squeeze=False)
+        figure.subplots_adjust(left=0.06, right=0.99, top=0.90, bottom=0.12, hspace=0.55, wspace=0.22)
+        yield figure, axes, out
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def curves(rows: Sequence[Row]) -> Html:
+    """Each of the main metrics over the repetitions of a scene, method by method, with its interval."""
+    methods = methods_of(rows)
+    with _canvas(2, 2, 6.0) as (figure, axes, out):
+        for place, name in zip(axes.flat, CURVES, strict=True):
+            _title(place, name, "over repetitions")
+            for index, method in enumerate(methods):
+                _curve(place, rows, method, name, index)
+            place.set_ylim(0, None)
+            place.set_xlabel("repetition", loc="right", labelpad=1)
+            place.xaxis.get_major_locator().set_params(integer=True)
+        _legend(figure, axes, methods)
+    return themed(out.getvalue(), "metrics over repetitions")
+
+
+def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int) -> None:
+    mine = [row for row in rows if row.method == method]
+    points = [(k, _at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
+    known = [(k, found) for k, found in points if found.n]
+    if not known:
+        return
+    x = np.array([k for k, _ in known], float) + 1.0
+    means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
+    axes.plot(x, means, linewidth=1.5, marker="o", markersize=3.2, **look(index))
+    fine = np.isfinite(low) & np.isfinite(high)
+    axes.fill_between(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.10, linewidth=0)
+
+
+def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
+    metric = BY_NAME[name]
+    return estimate(
+        by_cluster([row for row in rows if row.repetition == repetition], metric), share=metric.unit == "share"
+    )
+
+
+def traces(rows: Sequence[Row]) -> Html:
+    """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0."""
+    pair = traced_pair(rows)
+    here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
+    methods = methods_of(rows)
+    with _canvas(2, 1, 4.6) as (figure, axes, out):
+        above, below = axes.flat
+        _title(above, "Clearance h_min", "mm, least in each tenth of a second")
+        _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
+        for index, method in enumerate(methods):
+            if method in here:
+                t = np.array(here[method].trace_t)
+                h = 1e3 * np.array(here[method].trace_h)
+                above.plot(t, np.minimum(h, 60.0), linewidth=1.2, **look(index))
+                below.plot(t, here[method].trace_delta, linewidth=1.2, **look(index))
+        above.axhline(0, color=INK, linewidth=1.0)
+        below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
+        below.set_xlabel("time [s]", loc="right", labelpad=1)
+        _legend(figure, axes, [method for method in methods if method in here], methods)
+    return themed(out.getvalue(), f"h_min and δ over time, {pair}")
+
+
+def traced_pair(rows: Sequence[Row]) -> str:
+    """The place that is drawn: of those at which most methods moved, the one with the most violations."""
+    moved: dict[str, set[str]] = {}
+    hurt: dict[str, int] = {}
+    for row in rows:
+        if row.trace_t:
+            moved.setdefault(row.pair, set()).add(row.method)
+            hurt[row.pair] = hurt.get(row.pair, 0) + len(row.violations)
+    return max(sorted(moved), key=lambda pair: (len(moved[pair]), hurt[pair]), default="")
+
+
+def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
+    """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
+    gate = [1e3 * row.gate_s for row in rows if row.shots]
+    steps = [row.filter_us for row in rows if row.filter_us]
+    with _canvas(1, 3, 2.6) as (figure, axes, out):
+        figure.subplots_adjust(top=0.80, bottom=0.20)
+        _spread(axes[0, 0], "Decision", "s, as asked", {"planner": asked})
+        _spread(axes[0, 1], "Gate", "ms, all shots", {"gate": gate})
+        parts = {name: [one[k] for one in steps] for k, name in enumerate(("median", "p99", "worst"))}
+        _spread(axes[0, 2], "Filter step", "µs, of each episode", parts)
+    return themed(out.getvalue(), "latency distributions")
+
+
+def _spread(axes: Axes, title: str, unit: str, parts: dict[str, Sequence[float]]) -> None:
+    """Cumulative shares on a logarithmic axis."""
+    _title(axes, title, unit)
+    drawn = False
+    for index, (name, values) in enumerate(parts.items()):
+        known = np.sort([value for value in values if value > 0.0])
+        if len(known):
+            axes.step(known, np.arange(1, len(known) + 1) / len(known), where="post", label=name, **look(index))
+            drawn = True
+    if not drawn:
+        axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=MUTED)
+        axes.set_xticks([])
+        return
+    axes.set_xscale("log")
+    axes.set_ylim(0, 1.02)
+    if len(parts) > 1:
+        axes.legend(frameon=False, fontsize=8)
+
+
+def _title(axes: Axes, title: str, unit: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold", color=INK)
+    axes.set_title(unit, loc="right", fontsize=8, color=MUTED)
+    axes.grid(axis="y")
+
+
+def _legend(figure: Any, axes: Any, shown: Sequence[str], methods: Sequence[str] = ()) -> None:
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+
+    order = list(methods or shown)
+    lines = [Line2D([], [], linewidth=1.6, **look(order.index(name))) for name in shown]
+    figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5)
+    del axes

@@ -1,0 +1,134 @@
+"""The report of an evaluation: one HTML file that works offline and holds no script."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
+from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
+from dualbrain.evaluation.grids import Grid, all_grids
+from dualbrain.evaluation.hypotheses import Answer, answers
+from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Suite
+
+TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
+WIDTH = 480
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A picture of a failed episode: the row it belongs to, its words, `rgb` (height, width, 3) uint8."""
+
+    row: Row
+    caption: str
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a report is made of; `asked` are the times of decisions that were really made [s]."""
+
+    rows: Sequence[Row]
+    suite: Suite
+    config: dict[str, Any]
+    asked: Sequence[float] = ()
+    gallery: Sequence[Shot] = ()
+    date: str = ""
+    command: str = ""
+
+
+def write_evaluation(path: Path, told: Told) -> None:
+    """Write the report of `told` to `path`."""
+    path.write_text(render_evaluation(told), encoding="utf-8")
+
+
+def render_evaluation(told: Told) -> str:
+    """The report as HTML."""
+    rows, suite = told.rows, told.suite
+    found = answers(rows)
+    first, *rest = all_grids(rows)
+    parts = (
+        _header(told),
+        element("div", *map(_tile, found), class_="tiles"),
+        _grid(first),
+        _grid(rest[0]),
+        _card("Over repetitions", curves(rows), "mean with its 95 % interval; a scene is repeated in its run"),
+        *map(_grid, rest[1:4]),
+        _card("One place", traces(rows), traced_pair(rows)),
+        _gallery(told.gallery),
+        _card("Latency", latencies(rows, told.asked), "share of measurements below; kept answers are not counted"),
+        *map(_grid, rest[4:]),
+        section("What was not measured", element("ul", *(element("li", line) for line in missing(rows, suite)))),
+        _origin(told),
+    )
+    return document(f"Evaluation {suite.name}", *parts)
+
+
+def _header(told: Told) -> Html:
+    suite = told.suite
+    where = f"suite {suite.name} · {told.date} · {len(told.rows)} episodes · {', '.join(suite.robots)}"
+    names = ", ".join(sorted({row.planner.partition(" (")[0] for row in told.rows if row.planner}))
+    return element(
+        "header", element("p", where, class_="overline"), element("h1", "Does the loop do what the paper says?"),
+        element("p", f"{suite.says} Planners: {names}.", class_="muted"),
+    )  # fmt: skip
+
+
+def _tile(answer: Answer) -> Html:
+    return element(
+        "div", element("b", answer.name, " ", badge(answer.verdict, TONES[answer.verdict])),
+        element("span", answer.says), class_="tile",
+    )  # fmt: skip
+
+
+def _grid(grid: Grid) -> Html:
+    return section(grid.title, table(grid.head, grid.rows), note=grid.note)
+
+
+def _card(title: str, chart: Html, note: str) -> Html:
+    return section(title, element("div", chart, class_="card chart"), note=note)
+
+
+def _gallery(shots: Sequence[Shot]) -> Html:
+    if not shots:
+        return Html("")
+    figures = (_figure(shot) for shot in shots)
+    note = "fly one again: dualbrain evaluate --out DIR --again KEY"
+    return section("Failures", element("div", *figures, class_="shots three"), note=note)
+
+
+def _figure(shot: Shot) -> Html:
+    words = join((element("b", f"{shot.row.method}: {shot.row.failure}"), shot.caption, element("br"),
+                  element("code", shot.row.key)))  # fmt: skip
+    return element("figure", element("img", src=_jpeg(shot.rgb), alt=shot.caption), element("figcaption", words))
+
+
+def _jpeg(rgb: NDArray[np.uint8]) -> str:
+    from matplotlib.image import imsave  # noqa: PLC0415  (heavy imports are lazy)
+
+    step = max(1, round(rgb.shape[1] / WIDTH))
+    data = BytesIO()
+    imsave(data, np.ascontiguousarray(rgb[::step, ::step]), format="jpeg", pil_kwargs={"quality": 86})
+    return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
+
+
+def _origin(told: Told) -> Html:
+    facts = {name: str(value) for name, value in told.config.get("origin", {}).items()}
+    facts |= {"planners": ", ".join(f"{part}: {name}" for part, name in told.suite.planners.items())}
+    if told.command:
+        facts["again"] = told.command
+    listed = element("dl", *(join((element("dt", k), element("dd", element("code", v)))) for k, v in facts.items()))
+    whole = msgspec.json.format(msgspec.json.encode(told.config), indent=2).decode()
+    details = element("details", element("summary", "The whole configuration"), element("pre", whole))
+    remark = "Simulation only. What is said of safety holds for the model the filter was given (SAFETY.md)."
+    return section("Where this comes from", listed, details, element("footer", remark))

@@ -1,0 +1,171 @@
+"""Results as tables of words: the same ones in Markdown, in HTML and on the screen."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, isnan
+
+from dualbrain.evaluation.failure import CLASSES
+from dualbrain.evaluation.hypotheses import Answer, answers
+from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.severity import SAFETY
+from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
+
+NONE = "–"
+KEY = ("violation rate", "success", "Δ of successes", "intervention frequency")
+"""The metrics that are told family by family."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A table: its title, heads, rows of cells (the first cell of a row names it), and what to know of it."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def methods_of(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The methods that flew, in the order of the main table."""
+    flown = {row.method for row in rows}
+    return tuple(name for name in METHODS if name in flown)
+
+
+def by_cluster(rows: Sequence[Row], metric: Metric) -> Clusters:
+    """The metric's values by cluster."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for row in rows:
+        value = metric.of(row)
+        if value is not None:
+            found[row.cluster].append(value)
+    return found
+
+
+def measured(rows: Sequence[Row], method: str, metric: str) -> Estimate:
+    """One metric of one method."""
+    chosen = BY_NAME[metric]
+    return estimate(by_cluster([row for row in rows if row.method == method], chosen), share=chosen.unit == "share")
+
+
+def number(value: float, unit: str = "") -> str:
+    """A number with as many digits as people read; shares in percent."""
+    if isnan(value):
+        return NONE
+    if not isfinite(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{100.0 * value:.1f} %" if unit == "share" else f"{value:.3g}"
+    return text.replace("-", "−")
+
+
+def cell(found: Estimate, unit: str) -> str:
+    """Mean ± standard deviation [95 % interval]."""
+    if not found.n:
+        return NONE
+    low, high = (number(end, unit).removesuffix(" %") for end in (found.low, found.high))
+    spread = "" if unit == "share" else f" ± {number(found.sd, unit)}"
+    interval = f" [{low}, {high}]" if isfinite(found.low + found.high) else ""
+    return f"{number(found.mean, unit)}{spread}{interval}"
+
+
+def overview(rows: Sequence[Row]) -> Grid:
+    """Every metric of every method."""
+    methods = methods_of(rows)
+    counts = Counter(row.method for row in rows)
+    clusters = {name: len({row.cluster for row in rows if row.method == name}) for name in methods}
+    lines = [("episodes (clusters)", *(f"{counts[name]} ({clusters[name]})" for name in methods))]
+    for name in MAIN:
+        unit = BY_NAME[name].unit
+        label = name if unit in ("share", "1") else f"{name} [{unit}]"
+        lines.append((label, *(cell(measured(rows, method, name), unit) for method in methods)))
+    note = "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure"
+    return Grid("Methods and metrics", ("metric", *methods), tuple(lines), note)
+
+
+def violations(rows: Sequence[Row]) -> Grid:
+    """The violation rate by kind."""
+    methods = methods_of(rows)
+    others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY))
+    lines = [(kind, *(cell(measured(rows, method, kind), "share") for method in methods)) for kind in SAFETY]
+    for kind in others:
+        told = [[row for row in rows if row.method == method] for method in methods]
+        shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in told]
+        lines.append((f"{kind} (beside the rate)", *(number(share, "share") for share in shares)))
+    return Grid("Violations by kind", ("episodes with", *methods), tuple(lines), "on simulator truth, by the monitor")
+
+
+def families(rows: Sequence[Row]) -> Grid:
+    """The main metrics, family by family."""
+    methods = methods_of(rows)
+    places = sorted({(row.robot, row.family, row.level) for row in rows})
+    lines: list[tuple[str, ...]] = []
+    for place in places:
+        here = [row for row in rows if (row.robot, row.family, row.level) == place]
+        for name in KEY:
+            unit = BY_NAME[name].unit
+            found = (cell(measured(here, method, name), unit) for method in methods)
+            lines.append((f"{' '.join(place)}: {name}", *found))
+    return Grid("By robot and family", ("", *methods), tuple(lines))
+
+
+def failures(rows: Sequence[Row]) -> Grid:
+    """How many episodes failed, by class."""
+    methods = methods_of(rows)
+    counts = {name: Counter(row.failure for row in rows if row.method == name and row.failure) for name in methods}
+    lines = [(one, *(str(counts[name][one]) for name in methods)) for one in CLASSES]
+    lines.append(("all failures", *(str(sum(counts[name].values())) for name in methods)))
+    return Grid("Failures by class", ("class", *methods), tuple(lines), "by the first stage that failed")
+
+
+def verdicts(told: Sequence[Answer]) -> Grid:
+    """The hypotheses claim by claim."""
+    lines = [
+        (
+            f"{answer.name}: {answer.verdict}" if not index else "", f"{claim.a} against {claim.b}",
+            f"{claim.effect} of {claim.quantity}", number(claim.found.effect),
+            f"[{number(claim.found.low)}, {number(claim.found.high)}]",
+            f"{'at most' if claim.side < 0 else 'at least'} {claim.minimum:g}", claim.verdict, number(claim.p),
+            number(claim.found.wilcoxon), number(claim.found.dz), number(claim.found.rank_biserial),
+            str(claim.found.clusters),
+        )
+        for answer in told for index, claim in enumerate(answer.claims)
+    ]  # fmt: skip
+    head = ("hypothesis", "methods", "effect", "found", "95 %", "wanted", "claim", "p (Holm)", "p (Wilcoxon)", "d_z",
+            "rank-biserial", "clusters")  # fmt: skip
+    return Grid("Hypotheses", head, tuple(lines), "by the rule of docs/evaluation.md, which stood before the run")
+
+
+def throughput(rows: Sequence[Row]) -> Grid:
+    """Wall time by part, and episodes an hour and core."""
+    lines: list[tuple[str, ...]] = []
+    for name in methods_of(rows):
+        here = [row for row in rows if row.method == name]
+        wall = sum(row.wall_s for row in here)
+        parts = Counter[str]()
+        for row in here:
+            parts.update(row.wall)
+        shares = (number(parts[part] / wall, "share") for part in ("physics", "monitor", "filter", "planner", "rest"))
+        simulated = sum(row.simulated_s for row in here)
+        lines.append((name, f"{3600.0 * len(here) / wall:.0f}", f"{simulated / wall:.2f}", *shares))
+    head = (
+        "method",
+        "episodes an hour and core",
+        "simulated s per s",
+        "physics",
+        "monitor",
+        "filter",
+        "planner",
+        "rest",
+    )
+    return Grid("Throughput", head, tuple(lines), "wall time on the machine that flew, whatever else ran there")
+
+
+def all_grids(rows: Sequence[Row]) -> tuple[Grid, ...]:
+    """Every table of a report, in its order."""
+    return (
+        verdicts(answers(rows)), overview(rows), violations(rows), families(rows), failures(rows), throughput(rows)
+    )  # fmt: skip

@@ -1,0 +1,29 @@
+"""Tables as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from dualbrain.evaluation.grids import Grid
+
+
+def grid_lines(grid: Grid) -> list[str]:
+    """One table under its title."""
+    lines = [f"## {grid.title}", ""]
+    if grid.note:
+        lines += [f"{grid.note[0].upper()}{grid.note[1:]}.", ""]
+    if not grid.rows:
+        return [*lines, "None.", ""]
+    return [*lines, _line(grid.head), _line(["---"] * len(grid.head)), *map(_line, grid.rows), ""]
+
+
+def page(title: str, about: Sequence[str], grids: Iterable[Grid]) -> str:
+    """A whole page."""
+    lines = [f"# {title}", "", *(f"{line}  " for line in about), ""]
+    for grid in grids:
+        lines += grid_lines(grid)
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"

@@ -1,0 +1,42 @@
+"""What was not measured, said openly: metrics without a value, methods and hypotheses that were not flown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dualbrain.evaluation.case import Label
+from dualbrain.evaluation.hypotheses import answers
+from dualbrain.evaluation.method import MAIN as MAIN_METHODS
+from dualbrain.evaluation.metrics import MAIN, METRICS
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Suite
+
+DRAWN = "template"
+LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous")
+
+
+def missing(rows: Sequence[Row], suite: Suite) -> list[str]:
+    """Sentences."""
+    said = ["The level of real robots (paper 7.1): nothing here was flown on one."]
+    said += [
+        f"{method.name} ({method.says}): not in this suite."
+        for method in MAIN_METHODS
+        if method.name not in suite.methods
+    ]
+    said += [f"{one.name} ({one.says}): not measured." for one in answers(rows) if one.verdict == "not measured"]
+    said += [
+        f"{metric.name}: no episode has it." for metric in METRICS if metric.name in MAIN and not metric.values(rows)
+    ]
+    names = {row.planner for row in rows}
+    if DRAWN in names:
+        said.append("A language model: the planner `template` draws its contracts, and is none.")
+    if any(row.constrained_by not in ("", "nothing", "nothing (free decoding)") for row in rows):
+        said.append("One-shot compliance with free decoding: answers here were constrained while they were written.")
+    labels = {row.label for row in rows}
+    said += [f"Instructions that are {label}." for label in LABELS if label not in labels]
+    wanted = len(suite.methods) * sum(suite.episodes * len(suite.robots_of(task)) for task in suite.tasks)
+    if len(rows) < wanted:
+        said.append(f"{wanted - len(rows)} of the {wanted} episodes of the suite.")
+    if suite.episodes < 100:
+        said.append(f"The paper's 100 episodes a setting: here {suite.episodes}.")
+    return said
