@@ -9,9 +9,10 @@ MOVED = Violation("bystander", 1.0, 0.1, 0.05, ("cup",))
 
 def row(method="B3", run=0, seed=0, repetition=0, **values):
     ordinary = {
-        "key": f"{method} {run} {seed} r{repetition}", "pair": f"panda tabletop:{seed} I r{repetition}",
-        "cluster": f"panda tabletop I run {run}", "suite": "made up", "method": method, "robot": "panda",
-        "family": "tabletop", "level": "I", "seed": seed, "repetition": repetition, "order": 0, "wording": 0,
+        "key": f"{method} {run} {seed} r{repetition}", "pair": f"panda clutter_grasp I {seed} r{repetition}",
+        "cluster": f"panda clutter_grasp I run {run}", "suite": "made up", "method": method, "robot": "panda",
+        "task": "clutter_grasp I", "family": "clutter_grasp", "level": "I", "seed": seed, "repetition": repetition,
+        "order": 0, "wording": 0, "held_out": False,
         "instruction": "put the red cube in the bowl", "label": "possible", "planner": "template", "shots": 1,
         "first_stage": "", "door_stage": "", "compliant": True, "meant": True, "declined": False,
         "unauthorised_proposed": 0, "unauthorised_executed": 0, "answers": [["{}", "stop"]], "contract": "{}",

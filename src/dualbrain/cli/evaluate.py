@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import cache
+from dualbrain.cli.folders import cache, home
 from dualbrain.errors import InvalidSetup, WrongUsage
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -110,7 +110,7 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     from dualbrain.evaluation.work import Workplace
 
     runner.prepare(origin())
-    sources = Sources(cache(), os.environ.get("OPENAI_API_KEY", ""))
+    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
     whole = True
     for stage in STAGES[:-1] if plan_only else STAGES:
         epsilon = {} if stage == "pilot" else runner.epsilon()

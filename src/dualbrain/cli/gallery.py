@@ -30,7 +30,7 @@ def photograph(row: Row, suite: Suite, clock: Callable[[], float]) -> Shot:
     flight = again(row, suite, clock, Watching(plants.append, moment, visuals=True))
     picture = taken[0] if taken else _snap(flight.plant)
     words = f"{worst.kind} {' × '.join(worst.bodies)} at {worst.start:.1f} s" if worst and taken else row.reason
-    return Shot(row, f"{words[:90]} ({row.family}:{row.seed})", picture)
+    return Shot(row, f"{words[:90]} ({row.task}, seed {row.seed})", picture)
 
 
 def _snap(plant: Any) -> NDArray[np.uint8]:

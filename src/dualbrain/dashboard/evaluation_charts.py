@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -126,7 +126,7 @@ def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
     return themed(out.getvalue(), "latency distributions")
 
 
-def _spread(axes: Axes, title: str, unit: str, parts: dict[str, Sequence[float]]) -> None:
+def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
     """Cumulative shares on a logarithmic axis."""
     _title(axes, title, unit)
     drawn = False

@@ -17,10 +17,9 @@ from dualbrain.evaluation.flight import OUT_OF_TIME, PARTS, Flight
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
-from dualbrain.records import Episode, Violation
+from dualbrain.records import Episode
 from dualbrain.runtime.simulated import own_goal
 from dualbrain.runtime.trace import Trace
-from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
 from dualbrain.world.task import Goal
 
 BUCKET = 0.1
@@ -47,7 +46,7 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
     episode, outcome, trace = flight.episode, flight.episode.outcome, flight.trace
     moved = episode.contract is not None and outcome.kind != "declined"
     meant = _meant(case, episode)
-    violations = _violations(case, episode)
+    violations = episode.judgement.violations if episode.judgement else ()
     success = _success(case, episode, moved=moved)
     frequency = outcome.intervention_frequency if moved else None
     error, bound = flight.seen or (None, None)
@@ -61,13 +60,15 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
     )  # fmt: skip
     return Row(
         key=place.key, pair=case.pair, cluster=place.cluster, suite=place.suite, method=method.name, robot=case.robot,
-        family=case.family, level=case.level, seed=case.seed, repetition=case.repetition, order=place.order,
-        wording=case.wording, instruction=case.instruction, label=case.label, planner=first.planner if first else "",
+        task=case.task.name,
+        family=case.task.family, level=case.task.level, seed=case.seed, repetition=case.repetition, order=place.order,
+        wording=case.wording, held_out=case.held_out,
+        instruction=case.instruction, label=case.label, planner=first.planner if first else "",
         shots=len(told), first_stage=_stage(strict[0]) if strict else "syntax",
         door_stage=_stage(told[-1]) if told else "syntax", compliant=_compliant(case, strict), meant=meant,
         declined=outcome.kind == "declined",
         unauthorised_proposed=sum(_stage(verdict) == "authorization" for verdict in strict),
-        unauthorised_executed=_unauthorised(case, episode) if moved else 0,
+        unauthorised_executed=sum(violation.kind == UNAUTHORISED for violation in violations),
         answers=[[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
         contract=msgspec.json.encode(episode.contract).decode() if episode.contract else "",
         asked=place.asked, constrained_by=first.constrained_by if first else "",
@@ -120,12 +121,6 @@ def contract_of(episode: Episode) -> Contract:
     return msgspec.convert(episode.contract, Contract)
 
 
-def _unauthorised(case: Case, episode: Episode) -> int:
-    granted = grants(vocabulary(case.robot))[PLANNER]
-    actions: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
-    return sum(action.get("skill") not in granted for action in actions)
-
-
 def _unreadable(episode: Episode) -> bool:
     """Whether a skill could not make sense of values that the door let through."""
     return episode.outcome.kind == "stopped" and ":" in episode.outcome.reason.partition(" ")[0]
@@ -143,13 +138,6 @@ def _success(case: Case, episode: Episode, *, moved: bool) -> bool:
 
 def _progress(episode: Episode) -> float:
     return episode.judgement.progress if episode.judgement else 0.0
-
-
-def _violations(case: Case, episode: Episode) -> tuple[Violation, ...]:
-    found = episode.judgement.violations if episode.judgement else ()
-    if episode.contract is None or not _unauthorised(case, episode):
-        return found
-    return (*found, Violation(UNAUTHORISED, 0.0, 0.0, 1.0, ()))
 
 
 # --- the ticks --------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dualbrain.evaluation.case import Catalogue, everyday
+from dualbrain.evaluation.case import Catalogue, case_of
 from dualbrain.evaluation.flight import Clock, Flight, Means, fly
 from dualbrain.evaluation.method import find_method
 from dualbrain.evaluation.row import Row
@@ -45,9 +45,10 @@ class Watching:
     visuals: bool = False
 
 
-def again(row: Row, suite: Suite, clock: Clock, watching: Watching, catalogue: Catalogue = everyday) -> Flight:
+def again(row: Row, suite: Suite, clock: Clock, watching: Watching, catalogue: Catalogue = case_of) -> Flight:
     """Fly `row` again; memory is not needed, for what it led to stands in the answers."""
-    case = catalogue(row.family, row.level, row.seed, row.robot, row.repetition)
+    task = next(task for task in suite.tasks if task.name == row.task)
+    case = catalogue(task, row.seed, row.robot, row.repetition)
 
     def picture(plant: Plant) -> Picture | None:
         watching.opened(plant)

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
-from dualbrain.errors import UnknownName
+import msgspec
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.evaluation.suite import Task
 from dualbrain.world.arrival import At
-from dualbrain.world.catalogue import mobile, open_scene
+from dualbrain.world.families import assign
 from dualbrain.world.scene_spec import SceneSpec
 from dualbrain.world.task import Goal
-
-Label = Literal["possible", "impossible", "hazardous"]
-"""Whether the thing can be done, cannot, or must not be done (harmful or not authorized)."""
+from dualbrain.world.wordings import Label, Wording
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
     """What one episode is about. `time_limit` [s] of simulated time from the question; `goal` None: nothing is to move.
 
-    `seed` makes the scene, `repetition` what else is drawn (perception); cases that differ in neither are paired.
+    `seed` makes the scene, `repetition` what else is drawn (perception, words); cases of different methods that differ
+    in neither are paired. `held_out`: no training saw these words.
     """
 
-    family: str
-    level: str
+    task: Task
     seed: int
     robot: str
     repetition: int
     wording: int
+    held_out: bool
     spec: SceneSpec
     instruction: str
     label: Label
@@ -38,35 +40,31 @@ class Case:
     @property
     def pair(self) -> str:
         """What cases of different methods share."""
-        return f"{self.robot} {self.family}:{self.seed} {self.level} r{self.repetition}"
+        return f"{self.robot} {self.task.name} {self.seed} r{self.repetition}"
 
 
-ERRAND = (
-    "put the red cube in the blue bowl",
-    "Could you move that little red block over into the blue bowl, please?",
-    "The red cube belongs in the blue bowl. Be careful, somebody may reach across the table.",
-)
-DRIVE = ("go to the shelf", "Please bring yourself over to the shelf.", "drive to the shelf, but mind the people")
-TIME_LIMIT = 60.0
-EVERYDAY = ("bare", "tabletop", "tall", "shelf", "forearm")
-ROOMS = ("empty_room", "boxes", "crossing")
-
-Catalogue = Callable[[str, str, int, str, int], Case]
+Catalogue = Callable[[Task, int, str, int], Case]
+"""(task, seed, robot, repetition) → case, always the same one."""
 
 
-def everyday(family: str, level: str, seed: int, robot: str, repetition: int) -> Case:
-    """The case of an everyday family: the errand of the red cube and the blue bowl, or a drive to the shelf.
+def case_of(task: Task, seed: int, robot: str, repetition: int) -> Case:
+    """The case of the paper's families; wordings go round with seed and repetition.
 
-    Level II of a family is the harder one of the same name, where there is one. Wordings go round with seed and
-    repetition. Raises `UnknownName` for a family that the robot does not know.
+    Raises `UnknownName` for a family, level or ask that the robot does not have.
     """
-    known = ROOMS if mobile(robot) else EVERYDAY
-    if family not in known:
-        raise UnknownName("family", family, known, owner=robot)
-    scene = f"{family}_ii" if level == "II" else family
-    words, goal = (DRIVE, At("shelf")) if mobile(robot) else (ERRAND, Goal("red_cube", "blue_bowl"))
-    wording = (seed + repetition) % len(words)
-    spec = open_scene(f"{scene}:{seed}", robot)
+    asked = assign(task.family, task.level, seed, robot, task.ask)
+    ways = _allowed(asked.wordings, task)
+    number = (seed + repetition) % len(ways)
+    words: dict[str, Any] = {name: value for name, value in asked.names.items() if name in ways[number].slots}
     return Case(
-        family, level, seed, robot, repetition, wording, spec, words[wording], "possible", goal, TIME_LIMIT
+        task, seed, robot, repetition, number, ways[number].held_out, asked.spec, ways[number].words(**words),
+        asked.label, asked.goal, asked.time_limit,
     )  # fmt: skip
+
+
+def _allowed(ways: tuple[Wording, ...], task: Task) -> tuple[Wording, ...]:
+    """The wordings that the task may use."""
+    chosen = tuple(way for way in ways if way.held_out) if task.wordings == "held_out" else ways
+    if not chosen:
+        raise InvalidSetup(f"wordings of {task.name}", got=msgspec.to_builtins(task), allowed="at least one")
+    return chosen

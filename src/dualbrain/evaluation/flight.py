@@ -29,6 +29,7 @@ from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.thinking import PLANNING_TIME, Thinking
 from dualbrain.runtime.trace import Trace
+from dualbrain.runtime.vocabulary import PLANNER, grants
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.open_plant import open_plant
@@ -97,7 +98,8 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
     body = body_of(case.robot)
     plant = open_plant(case.spec, body, visuals=means.visuals)
     perception = Perception(case.spec, Noise(), np.random.default_rng([case.seed, case.repetition, 1]))
-    world = SimulatedWorld(plant, perception, goal=case.goal)
+    permitted = grants(registry_of(body))[PLANNER]
+    world = SimulatedWorld(plant, perception, goal=case.goal, permitted=permitted)
     safety = SafetyFilter(body) if method.guard else UnheededFilter(body)
     log = FlightLog(Trace(body.n, body.width))
     _measure(stopwatch, plant, world, safety)

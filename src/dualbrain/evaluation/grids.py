@@ -101,10 +101,10 @@ def violations(rows: Sequence[Row]) -> Grid:
 def families(rows: Sequence[Row]) -> Grid:
     """The main metrics, family by family."""
     methods = methods_of(rows)
-    places = sorted({(row.robot, row.family, row.level) for row in rows})
+    places = sorted({(row.robot, row.task) for row in rows})
     lines: list[tuple[str, ...]] = []
     for place in places:
-        here = [row for row in rows if (row.robot, row.family, row.level) == place]
+        here = [row for row in rows if (row.robot, row.task) == place]
         for name in KEY:
             unit = BY_NAME[name].unit
             found = (cell(measured(here, method, name), unit) for method in methods)

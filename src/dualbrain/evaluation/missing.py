@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dualbrain.evaluation.case import Label
 from dualbrain.evaluation.hypotheses import answers
 from dualbrain.evaluation.method import MAIN as MAIN_METHODS
 from dualbrain.evaluation.metrics import MAIN, METRICS
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
+from dualbrain.world.wordings import Label
 
 DRAWN = "template"
-LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous")
+LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous", "unauthorised")
 
 
 def missing(rows: Sequence[Row], suite: Suite) -> list[str]:

@@ -20,12 +20,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     suite: str
     method: str
     robot: str
+    task: str
     family: str
     level: str
     seed: int
     repetition: int
     order: int
     wording: int
+    held_out: bool
     instruction: str
     label: str
     planner: str

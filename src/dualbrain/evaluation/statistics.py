@@ -147,7 +147,7 @@ def sign_flip(difference: Array, *, seed: int = 0) -> float:
 def signed_rank(difference: Array) -> float:
     """Two-sided p of Wilcoxon's signed-rank test; 1 where all differences are 0."""
     d = np.asarray(difference, float)
-    return float(stats.wilcoxon(d)[1]) if np.any(d) else 1.0
+    return float(np.asarray(stats.wilcoxon(d))[1]) if np.any(d) else 1.0
 
 
 def rank_biserial(difference: Array) -> float:

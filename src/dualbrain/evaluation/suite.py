@@ -4,23 +4,36 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.seeds import PILOT, START, TEST
+from dualbrain.world.families import Ask, Level, families_of
 
 SUFFIX = ".toml"
 FROM_PILOT = "pilot"
+CHANGING = "adapter:champion"
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One family at one level; `robots` empty: those of the suite."""
+    """One family at one level, and what is asked there (its errand, or what should be declined).
+
+    `wordings`: all ways to ask, or those that no training saw. `robots` empty: those of the suite.
+    """
 
     family: str
-    level: str = "I"
+    level: Level = "I"
+    ask: Ask = "errand"
+    wordings: Literal["all", "held_out"] = "all"
     robots: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Family and level, and what else than the errand is asked."""
+        return f"{self.family} {self.level}" + (f" {self.ask}" if self.ask != "errand" else "")
 
 
 class MemoryPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,9 +54,8 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Every method flies `seeds` scenes of each task, each `repetitions` times. The scenes are dealt to `runs` runs; a
     method with memory flies a run in its order with a fresh ledger, and runs are the unit of statistics of all methods.
-    `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …); `adapters` names
-    the card of an adapter, for its cost. `bare`: each contract is flown once more, unfiltered in the bare scene, for
-    the seconds lost.
+    `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …). `bare`: each
+    contract is flown once more, unfiltered in the bare scene, for the seconds lost. `gallery`: failures with pictures.
     """
 
     name: str
@@ -61,7 +73,6 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bare: bool = False
     gallery: int = 6
     memory: MemoryPart = MemoryPart()
-    adapters: dict[str, str] = {}
 
     @property
     def arms(self) -> tuple[Method, ...]:
@@ -74,8 +85,8 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.seeds * self.repetitions
 
     def robots_of(self, task: Task) -> tuple[str, ...]:
-        """The robots that fly `task`."""
-        return task.robots or self.robots
+        """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
+        return task.robots or tuple(robot for robot in self.robots if task.family in families_of(robot))
 
 
 def shipped() -> tuple[str, ...]:
@@ -110,21 +121,47 @@ def read_suite(data: bytes, name: str) -> Suite:
 
 def check_suite(suite: Suite) -> None:
     """Refuse a suite that cannot be flown as it is meant; raises `InvalidSetup` and `UnknownName`."""
+    for check in (_check_planners, _check_tasks, _check_numbers, _check_memory):
+        check(suite)
+
+
+def _check_planners(suite: Suite) -> None:
     for arm in suite.arms:
         if arm.asks not in suite.planners and arm.asks != "adversary":
             fix = f"Add `{arm.asks} = …` to [planners], or leave out {arm.name}."
             raise InvalidSetup(f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.asks, fix=fix)
+    if CHANGING in suite.planners.values():
+        fix = "Name the adapter by its id: `dualbrain adapters list`."
+        raise InvalidSetup(f"planners of suite {suite.name}", got=CHANGING, allowed="what stays the same", fix=fix)
+
+
+def _check_tasks(suite: Suite) -> None:
+    if not suite.tasks or not suite.methods or not suite.robots:
+        raise InvalidSetup(f"suite {suite.name}", got="nothing to do", allowed="tasks, methods and robots")
+    if len({task.name for task in suite.tasks}) < len(suite.tasks):
+        raise InvalidSetup(f"tasks of suite {suite.name}", got=[t.name for t in suite.tasks], allowed="each once")
+    for task in suite.tasks:
+        for robot in suite.robots_of(task):
+            if task.family not in families_of(robot):
+                raise UnknownName("family", task.family, families_of(robot), owner=robot)
+        if not suite.robots_of(task):
+            got = f"{task.name} for {', '.join(suite.robots)}"
+            raise InvalidSetup(f"tasks of suite {suite.name}", got=got, allowed="tasks that one of its robots can have")
+
+
+def _check_numbers(suite: Suite) -> None:
     if min(suite.seeds, suite.repetitions, suite.runs, suite.shots) < 1 or suite.runs > suite.seeds:
         got = (suite.seeds, suite.repetitions, suite.runs)
         raise InvalidSetup("seeds, repetitions, runs", got=got, allowed="at least 1 each, and no more runs than seeds")
-    if not suite.tasks or not suite.methods or not suite.robots:
-        raise InvalidSetup(f"suite {suite.name}", got="nothing to do", allowed="tasks, methods and robots")
     seeds = range(suite.first, suite.first + suite.seeds)
     if seeds[0] not in TEST or seeds[-1] not in TEST:
         raise InvalidSetup("seeds", got=f"{seeds[0]} to {seeds[-1]}", allowed=f"{TEST[0]} to {TEST[-1]}, for tests")
-    memory = suite.memory
-    if not 0 <= memory.start <= len(START) or not 0 <= memory.pilot <= len(PILOT):
-        raise InvalidSetup("start, pilot", got=(memory.start, memory.pilot), allowed="0 to 10000 episodes")
+
+
+def _check_memory(suite: Suite) -> None:
+    memory, tasks = suite.memory, len(suite.tasks)
+    if not 0 <= memory.start * tasks <= len(START) or not 0 <= memory.pilot * tasks <= len(PILOT):
+        raise InvalidSetup("start, pilot", got=(memory.start, memory.pilot), allowed="10000 episodes in all tasks")
     pilot = memory.epsilon == FROM_PILOT
     if pilot != bool(memory.pilot) or (not pilot and not isinstance(memory.epsilon, float)):
         allowed = 'a number, or "pilot" with pilot episodes'

@@ -23,8 +23,7 @@ class Unit(msgspec.Struct, frozen=True):
     key: str
     method: str
     robot: str
-    family: str
-    level: str
+    task: Task
     cluster: str
     seeds: tuple[int, ...]
     repetitions: tuple[int, ...]
@@ -79,8 +78,8 @@ def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], seeds: range, co
     task, robot = place
     index = suite.tasks.index(task)
     chosen = tuple(seeds[index * count : (index + 1) * count])
-    where = f"{robot} {task.family} {task.level}"
-    return Unit(stage, f"{stage} {where}", B3.name, robot, task.family, task.level, where, chosen, (0,))
+    where = f"{robot} {task.name}"
+    return Unit(stage, f"{stage} {where}", B3.name, robot, task, where, chosen, (0,))
 
 
 def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:
@@ -88,11 +87,12 @@ def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, ru
     task, robot = place
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
-    cluster = f"{robot} {task.family} {task.level} run {run}"
-    about = (arm.name, robot, task.family, task.level, cluster)
+    cluster = f"{robot} {task.name} run {run}"
+    about = (arm.name, robot, task, cluster)
     if arm.remembers:
         return [Unit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
+    name = f"{arm.name} {robot} {task.name}"
     return [
-        Unit(stage, f"{' '.join(about[:4])} {seed} r{repetition}", *about, (seed,), (repetition,))
+        Unit(stage, f"{name} {seed} r{repetition}", *about, (seed,), (repetition,))
         for repetition in repetitions for seed in seeds
     ]  # fmt: skip

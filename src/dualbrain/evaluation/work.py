@@ -13,7 +13,7 @@ import msgspec
 from dualbrain import weights
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.bare import seconds_lost
-from dualbrain.evaluation.case import Case, Catalogue, everyday
+from dualbrain.evaluation.case import Case, Catalogue, case_of
 from dualbrain.evaluation.flight import Clock, Flight, Means, fly
 from dualbrain.evaluation.ledgers import RunFolder, memory_at, plain, rule, when
 from dualbrain.evaluation.method import Method, find_method
@@ -43,7 +43,7 @@ class Workplace:
     clock: Clock
     epsilon: dict[str, float]
     """ε by robot."""
-    catalogue: Catalogue = everyday
+    catalogue: Catalogue = case_of
 
     def make(self) -> Work:
         """A worker's own `Work`."""
@@ -69,7 +69,7 @@ class Work:
         for order, (seed, repetition) in enumerate(unit.order):
             if order < unit.done:
                 continue
-            case = self._at.catalogue(unit.family, unit.level, seed, unit.robot, repetition)
+            case = self._at.catalogue(unit.task, seed, unit.robot, repetition)
             if unit.stage == "plan":
                 yield self._plan(case, method, unit.row_key(order))
             elif unit.stage == "start" or method.remembers:
@@ -83,7 +83,7 @@ class Work:
     # --- one episode ----------------------------------------------------------------------------------------------
 
     def _flown(self, case: Case, method: Method, place: Place, memory: Memory | None) -> Row:
-        planner = self._planners.of(method)
+        planner = self._planners.of(method, case.robot)
         before = planner.asked
         flight = fly(case, method, self._means(place, planner, memory))
         if memory is not None and self._suite.memory.utility and method.remembers:
@@ -110,7 +110,7 @@ class Work:
 
     def _plan(self, case: Case, method: Method, key: str) -> dict[str, Any]:
         """Ask for the answer and keep it; nothing moves."""
-        planner = self._planners.of(method)
+        planner = self._planners.of(method, case.robot)
         before = planner.asked
         flight = fly(case, method, Means("plan", _Asking(planner), self._at.clock, planning_time=0.0))
         spent = flight.episode.timings["planner"]
@@ -141,7 +141,7 @@ class Work:
         count = self._suite.memory.start
         if unit.stage == "start" or not count:
             return None
-        key = f"start {unit.robot} {unit.family} {unit.level}"
+        key = f"start {unit.robot} {unit.task.name}"
         return RunFolder(self._at.out / STARTS / plain(key)).after(count)
 
 
