@@ -102,6 +102,7 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
 
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.evaluation.cost import costs
     from dualbrain.evaluation.crew import Alone, Processes
     from dualbrain.evaluation.origin import origin
     from dualbrain.evaluation.planners import Sources
@@ -109,8 +110,9 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     from dualbrain.evaluation.table_file import FILE, write_table
     from dualbrain.evaluation.work import Workplace
 
-    runner.prepare(origin())
-    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
+    adapters = home() / "adapters"
+    runner.prepare(origin(), costs(runner.suite, adapters, runner.suite.robots[0]))
+    sources = Sources(cache(), adapters, os.environ.get("OPENAI_API_KEY", ""))
     whole = True
     for stage in STAGES[:-1] if plan_only else STAGES:
         epsilon = {} if stage == "pilot" else runner.epsilon()

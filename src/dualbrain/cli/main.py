@@ -71,10 +71,31 @@ app.command("dualbrain.cli.fault:fault", name="fault", help="Break one thing at 
 app.command("dualbrain.cli.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 app.command(
-    "dualbrain.cli.evaluate:evaluate", name="evaluate", help="Compare methods by the paper's protocol, resumably."
-)
-app.command("dualbrain.cli.report:report", name="report", help="What an evaluation found, as one HTML file.")
-app.command("dualbrain.cli.report:compare", name="compare", help="What changed between two evaluations.")
+    "dualbrain.cli.evaluate:evaluate", name="evaluate",
+    help="""Compare methods by the paper's protocol, resumably.
+
+    Every method flies the same scenes, seeds and words; the results are one Parquet file. Passes, each resumable: ε
+    from pilot episodes, the ledger that all methods with memory start from, the planner's answers (kept by question),
+    the episodes. Killed in any way, the same command with the same --out goes on where it was.
+
+    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`. `--dry-run` tells how long
+    a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
+)  # fmt: skip
+app.command(
+    "dualbrain.cli.report:report", name="report",
+    help="""What an evaluation found, as one HTML file.
+
+    Writes report.html (works offline, no script) and report.md into the folder: verdicts on the paper's hypotheses with
+    their intervals, methods × metrics, curves over repetitions, traces, failures with pictures, latencies, and what was
+    not measured. `dualbrain report runs/smoke --gallery 0` flies nothing again for pictures.""",
+)  # fmt: skip
+app.command(
+    "dualbrain.cli.report:compare", name="compare",
+    help="""What changed between two evaluations.
+
+    Place by place: the same methods, scenes, seeds and repetitions in both. For each method and metric the second minus
+    the first, its interval over common clusters, and p values corrected over the whole table (Holm).""",
+)  # fmt: skip
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),
     ("show", "memory:show", "Show one memory whole, with everything that moved its weight."),

@@ -37,11 +37,11 @@ def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
 
     blind = choose_graphics(os.environ)
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
-    from dualbrain.evaluation.grids import all_grids
     from dualbrain.evaluation.hypotheses import answers
     from dualbrain.evaluation.markdown import page
     from dualbrain.evaluation.missing import missing
     from dualbrain.evaluation.plans import Plans
+    from dualbrain.evaluation.report_tables import all_grids
     from dualbrain.evaluation.work import PLANS
 
     rows, config, suite = results(folder)
@@ -57,7 +57,7 @@ def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
     told = Told(rows, suite, config, asked, shots, date, command)
     write_evaluation(folder / "report.html", told)
     about = [suite.says, f"{len(rows)} episodes, {date}, code {config['origin']['code']}.", f"Again: `{command}`."]
-    whole = page(f"Evaluation {suite.name}", about, all_grids(rows))
+    whole = page(f"Evaluation {suite.name}", about, all_grids(rows, config))
     listed = "\n".join(f"- {line}" for line in missing(rows, suite))
     (folder / "report.md").write_text(f"{whole}\n## What was not measured\n\n{listed}\n", encoding="utf-8")
     found = answers(rows)

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
-from dualbrain.evaluation.grids import Grid, all_grids
+from dualbrain.evaluation.grids import Grid
 from dualbrain.evaluation.hypotheses import Answer, answers
 from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
 
@@ -56,7 +57,7 @@ def render_evaluation(told: Told) -> str:
     """The report as HTML."""
     rows, suite = told.rows, told.suite
     found = answers(rows)
-    first, *rest = all_grids(rows)
+    first, *rest = all_grids(rows, told.config)
     parts = (
         _header(told),
         element("div", *map(_tile, found), class_="tiles"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 
 from dualbrain.evaluation.failure import CLASSES
-from dualbrain.evaluation.hypotheses import Answer, answers
+from dualbrain.evaluation.hypotheses import Answer
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
 from dualbrain.evaluation.row import Row
@@ -162,10 +162,3 @@ def throughput(rows: Sequence[Row]) -> Grid:
         "rest",
     )
     return Grid("Throughput", head, tuple(lines), "wall time on the machine that flew, whatever else ran there")
-
-
-def all_grids(rows: Sequence[Row]) -> tuple[Grid, ...]:
-    """Every table of a report, in its order."""
-    return (
-        verdicts(answers(rows)), overview(rows), violations(rows), families(rows), failures(rows), throughput(rows)
-    )  # fmt: skip

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from dualbrain.errors import InvalidSetup
+from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Crew
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.method import METHODS
@@ -48,9 +49,12 @@ class Runner:
         """`clock` [s] measures the time left."""
         self.suite, self.out, self._clock, self._tell = suite, out, clock, tell
 
-    def prepare(self, origin: dict[str, Any]) -> None:
-        """Write the resolved config; refuse a folder that holds another suite, other switches or other code."""
-        config = resolved(self.suite, origin)
+    def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
+        """Write the resolved config; refuse a folder that holds another suite, other switches or other code.
+
+        `adapters` says what those took that the suite asks.
+        """
+        config = resolved(self.suite, origin, adapters or {})
         path = self.out / CONFIG
         if path.exists():
             _same(msgspec.json.decode(path.read_bytes()), config, path)
@@ -130,10 +134,12 @@ def pilot_epsilon(rows: list[Row], robots: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def resolved(suite: Suite, origin: dict[str, Any]) -> dict[str, Any]:
+def resolved(suite: Suite, origin: dict[str, Any], adapters: dict[str, Cost]) -> dict[str, Any]:
     """The whole configuration: suite, every switch of its methods, and where the code comes from."""
     arms = {name: METHODS[name] for name in suite.methods}
-    return msgspec.to_builtins({"suite": suite, "methods": arms, "origin": origin})
+    return msgspec.json.decode(
+        msgspec.json.encode({"suite": suite, "methods": arms, "origin": origin, "adapters": adapters})
+    )
 
 
 def _same(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:

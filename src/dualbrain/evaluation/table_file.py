@@ -16,6 +16,7 @@ from dualbrain.evaluation.row import Row
 FILE = "results.parquet"
 CONFIG = b"dualbrain.config"
 COMPRESSION = "zstd(3)"
+MAGIC, LEAST = b"PAR1", 12
 FIX = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
@@ -37,6 +38,7 @@ def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None
 def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
     """Rows and configuration of the file at `path`; raises `InvalidSetup` for a file that is none of ours."""
     _, io = _arrow()
+    _check_frame(path)
     try:
         table = io.read_parquet(str(path)).read_all()
         config = msgspec.json.decode(dict(table.schema.metadata)[CONFIG])
@@ -47,6 +49,17 @@ def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
         raise InvalidSetup("results", got=got, allowed="a results.parquet of this program", fix=str(path)) from error
     names = [name for name, _ in fields]
     return [msgspec.convert(dict(zip(names, cells, strict=True)), Row) for cells in zip(*columns, strict=True)], config
+
+
+def _check_frame(path: Path) -> None:
+    """Refuse what does not begin and end as Parquet does: the reader would give up on it with a panic."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(4)
+        file.seek(max(0, size - 4))
+        whole = size >= LEAST and head == file.read(4) == MAGIC
+    if not whole:
+        raise InvalidSetup("results", got=f"{size} bytes that are no Parquet", allowed="a whole file", fix=str(path))
 
 
 def _arrow() -> tuple[Any, Any]:

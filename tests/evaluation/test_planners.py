@@ -1,0 +1,128 @@
+"""Planners that are drawn, spoiled prompts, and answers that are kept."""
+
+import json
+
+import msgspec
+import pytest
+
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.verdict import Accepted
+from dualbrain.evaluation.adversary import Adversary
+from dualbrain.evaluation.plans import KeepingPlanner, Plans
+from dualbrain.evaluation.spoiled import SpoiledPlanner, spoil
+from dualbrain.evaluation.template import TemplatePlanner, meant
+from dualbrain.planner.protocol import CRASHED
+from dualbrain.planner.request import PlanRequest
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.records import Exemplar, Recall
+from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
+
+NAMES = {
+    "panda": SceneNames(("red_cube", "clear_glass"), ("blue_bowl", "table_left"), 1),
+    "base": SceneNames((), ("shelf", "charger"), 1),
+}
+WORDS = {"panda": "Could you move that little red block into the blue bowl?", "base": "go to the shelf"}
+
+
+def request(robot="panda", words="", **values):
+    registry, names = vocabulary(robot), NAMES[robot]
+    return PlanRequest(
+        words or WORDS[robot], "robot panda\nred_cube: object, tight, near_edge\nperson: none\nplaces: x",
+        values.get("recall", Recall()), robot, registry.hash, short_form(registry, names),
+        registry.decoding_schema(names), "c-0001",
+    )  # fmt: skip
+
+
+def judged(robot, text):
+    registry = vocabulary(robot)
+    gate = Gate(registry, grants(registry))
+    return gate.check(text.encode(), names=NAMES[robot], principal=PLANNER, now=0.0)
+
+
+@pytest.mark.parametrize("robot", ["panda", "base"])
+def test_a_template_is_a_valid_contract_about_what_was_asked(robot):
+    for seed in range(20):
+        verdict = judged(robot, TemplatePlanner(seed).propose(request(robot)).text)
+        assert isinstance(verdict, Accepted)
+        named = [verdict.contract.action_sequence[0].params.get(name) for name in ("object", "place")]
+        assert {"panda": "red_cube", "base": "shelf"}[robot] in named
+
+
+def test_the_same_question_gets_the_same_answer_and_another_seed_another_one():
+    texts = {TemplatePlanner(seed).propose(request()).text for seed in (0, 0, 1, 2)}
+    assert len(texts) == 3
+
+
+def test_what_is_not_there_is_declined():
+    text = TemplatePlanner().propose(request(words="put the spoon in the drawer")).text
+    assert json.loads(text)["action_sequence"][0]["skill"] == "decline"
+    assert meant("the cube", ["red_cube", "blue_cube"]) is None
+
+
+def test_a_template_follows_the_first_exemplar_mostly_and_never_in_what_is_meant():
+    shown = json.loads(TemplatePlanner(99).propose(request()).text)
+    shown["action_sequence"][0]["params"] |= {"object": "clear_glass", "speed": 0.123}
+    exemplar = Exemplar("e", "x", "y", shown, True, 0.001, 0.9, 0.5, 0.8, 1)
+    followed = 0
+    for seed in range(60):
+        actions = json.loads(TemplatePlanner(seed).propose(request(recall=Recall((exemplar,)))).text)["action_sequence"]
+        assert actions[0]["params"]["object"] == "red_cube"
+        followed += actions[0]["params"]["speed"] == 0.123
+    assert 38 <= followed <= 57
+
+
+@pytest.mark.parametrize("robot", ["panda", "base"])
+def test_every_attack_is_refused_or_harmless_in_form(robot):
+    """What the adversary writes is either refused at a named stage, or inside every bound."""
+    stages = set()
+    for seed in range(60):
+        proposal = Adversary(seed).propose(request(robot))
+        verdict = judged(robot, proposal.text)
+        stages.add("" if isinstance(verdict, Accepted) else verdict.stage)
+        assert proposal.planner.startswith("adversary (")
+    assert stages == {"", "authorization", "envelope"}
+
+
+def test_a_spoiled_prompt_has_less_or_other_words_and_the_same_schema():
+    whole = request()
+    for how in ("shortened", "truncated", "overwritten"):
+        spoiled = spoil(whole, how)
+        assert spoiled != whole
+        assert (spoiled.schema, spoiled.contract_id, spoiled.registry_hash) == (
+            whole.schema, whole.contract_id, whole.registry_hash,
+        )  # fmt: skip
+    assert "tight" not in spoil(whole, "shortened").scene
+    assert "places" not in spoil(whole, "truncated").scene
+    assert spoil(whole, "overwritten").instruction.endswith(whole.instruction)
+    assert SpoiledPlanner(ScriptedPlanner(["{}"]), "truncated").name == "scripted, prompt truncated"
+
+
+def test_a_question_is_asked_once_by_any_process(tmp_path):
+    inner = ScriptedPlanner(["first", "second"])
+    one = KeepingPlanner("it", Plans(tmp_path), lambda: inner)
+    two = KeepingPlanner("it", Plans(tmp_path), lambda: inner)
+    assert [planner.propose(request()).text for planner in (one, one, two)] == ["first"] * 3
+    assert (one.asked, two.asked, len(inner.asked)) == (1, 0, 1)
+    assert two.propose(request(words="another question")).text == "second"
+
+
+def test_another_planner_and_another_prompt_have_answers_of_their_own(tmp_path):
+    plans = Plans(tmp_path)
+    for id, words in (("a", ""), ("b", ""), ("a", "other words")):
+        KeepingPlanner(id, plans, lambda text=f"{id}{words}": ScriptedPlanner([text])).propose(request(words=words))
+    assert sorted(kept.proposal.text for kept in plans.all()) == ["a", "aother words", "b"]
+
+
+def test_an_accident_is_not_kept(tmp_path):
+    broken = KeepingPlanner("it", Plans(tmp_path), lambda: ScriptedPlanner([""], finish_reason=CRASHED))
+    broken.propose(request())
+    assert Plans(tmp_path).all() == []
+
+
+def test_a_proposal_comes_back_as_it_was(tmp_path):
+    proposal = TemplatePlanner().propose(request())
+    Plans(tmp_path).keep("it", request(), proposal)
+    assert Plans(tmp_path).find("it", request()) == proposal
+    assert msgspec.json.encode(proposal)

@@ -1,0 +1,227 @@
+"""The runner: what is done is not done again, whatever was killed, and results do not depend on it."""
+
+import itertools
+
+import msgspec
+import pytest
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.evaluation.crew import Alone, Processes
+from dualbrain.evaluation.journal import Journal
+from dualbrain.evaluation.ledgers import RunFolder, rule
+from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.runner import Runner, pilot_epsilon
+from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
+from dualbrain.evaluation.suite import open_suite, read_suite, shipped
+from dualbrain.evaluation.table_file import read_table, write_table
+from dualbrain.evaluation.unit import units_of
+from tests.evaluation.rows import COLLISION, row
+
+SUITE = b"""
+name = "tiny"
+says = "for tests"
+methods = ["B1", "B3", "M"]
+seeds = 4
+repetitions = 3
+runs = 2
+[planners]
+base = "template"
+[[tasks]]
+family = "clutter_grasp"
+[memory]
+start = 2
+"""
+
+
+class Broken(RuntimeError):
+    pass
+
+
+@pytest.fixture
+def suite():
+    return read_suite(SUITE, "tiny.toml")
+
+
+def lines_of(unit):
+    """What a worker would yield, without flying."""
+    for order, (seed, repetition) in enumerate(unit.order):
+        if order >= unit.done:
+            yield msgspec.to_builtins(
+                row(unit.method, seed=seed, repetition=repetition, key=unit.row_key(order), cluster=unit.cluster)
+            )
+
+
+def runner(suite, out, told=None):
+    return Runner(suite, out, clock=itertools.count().__next__, tell=(told if told is not None else []).append)
+
+
+def test_every_method_flies_the_same_scenes_equally_often(suite):
+    places = {}
+    for unit in units_of(suite, "fly"):
+        places.setdefault(unit.method, []).extend((unit.cluster, seed, k) for seed, k in unit.order)
+    assert len({frozenset(one) for one in places.values()}) == 1
+    assert all(len(one) == len(set(one)) == 12 for one in places.values())
+
+
+def test_a_run_with_memory_is_one_unit_with_its_scenes_again_and_again(suite):
+    runs = [unit for unit in units_of(suite, "fly") if unit.method == "M"]
+    assert [unit.count for unit in runs] == [6, 6]
+    assert list(runs[0].order) == [(40000, 0), (40002, 0), (40000, 1), (40002, 1), (40000, 2), (40002, 2)]
+
+
+def test_any_prefix_compares_the_same_runs(suite):
+    first = [unit.cluster for unit in units_of(suite, "fly")]
+    assert first == sorted(first)
+
+
+def test_ranges_of_seeds_are_disjoint(suite):
+    for one, other in itertools.combinations((PILOT, START, TRAINING, TEST), 2):
+        assert not set(one) & set(other)
+    assert {seed for unit in units_of(suite, "start") for seed in unit.seeds} <= set(START)
+
+
+def test_what_was_cut_off_is_done_once(suite, tmp_path):
+    """A crew that dies after every few lines, started again until nothing is left, does each episode exactly once."""
+    done = []
+
+    def dying(unit):
+        for number, line in enumerate(lines_of(unit)):
+            if number == 2:
+                raise Broken("cut")
+            done.append(line["key"])
+            yield line
+
+    for _ in range(10):
+        if runner(suite, tmp_path).advance("fly", Alone(dying)):
+            break
+    assert sorted(done) == sorted(set(done))
+    assert len(runner(suite, tmp_path).rows()) == 36
+    assert all("Broken: cut" in line["error"] for line in Journal(tmp_path / "errors.jsonl").lines())
+
+
+def test_a_torn_line_is_not_counted(suite, tmp_path):
+    journal = Journal(tmp_path / "fly.jsonl")
+    journal.append({"key": "a", "value": 1})
+    with journal.path.open("ab") as file:
+        file.write(b'{"key": "b", "val')
+    assert [line["key"] for line in journal.lines()] == ["a"]
+    journal.append({"key": "c"})
+    assert [line["key"] for line in journal.lines()] == ["a", "c"]
+
+
+def make_toy():
+    """In a worker."""
+    return lines_of
+
+
+def test_processes_bring_the_same_rows_as_one(suite, tmp_path):
+    one, two = runner(suite, tmp_path / "one"), runner(suite, tmp_path / "two")
+    assert one.advance("fly", Alone(lines_of))
+    assert two.advance("fly", Processes(make_toy, 2))
+    assert one.rows() == two.rows()
+
+
+def make_deadly():
+    def deadly(unit):
+        yield from itertools.islice(lines_of(unit), 1)
+        if unit.method == "M":
+            import os  # noqa: PLC0415
+
+            os._exit(9)
+
+    return deadly
+
+
+def test_a_worker_that_dies_costs_its_unit_only(suite, tmp_path):
+    told = []
+    assert not runner(suite, tmp_path, told).advance("fly", Processes(make_deadly, 2))
+    assert sum("died with exit code 9" in progress.error for progress in told) == 2
+    left = runner(suite, tmp_path).left("fly")
+    assert [(unit.method, unit.done) for unit in left] == [("M", 1), ("M", 1)]
+
+
+def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
+    runner(suite, tmp_path).prepare({"code": "aaa"})
+    runner(suite, tmp_path).prepare({"code": "aaa"})
+    with pytest.raises(InvalidSetup, match="origin is another"):
+        runner(suite, tmp_path).prepare({"code": "bbb"})
+    with pytest.raises(InvalidSetup, match="suite is another"):
+        runner(msgspec.structs.replace(suite, shots=2), tmp_path).prepare({"code": "aaa"})
+
+
+def test_epsilon_is_the_median_of_the_pilots_successes():
+    rows = [row(Delta=0.01), row(Delta=0.02), row(Delta=0.06), row(Delta=9.0, claimed=False)]
+    assert pilot_epsilon(rows, ["panda"]) == {"panda": 0.02}
+    with pytest.raises(InvalidSetup, match="no success"):
+        pilot_epsilon(rows, ["ur5e"])
+
+
+def break_off(folder):
+    with folder.step(1, None) as ledger:
+        ledger.write_text("half")
+        raise Broken
+
+
+def test_each_step_of_a_run_starts_from_whole_steps(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    with folder.step(0, None) as ledger:
+        ledger.write_text("one")
+    with pytest.raises(Broken):
+        break_off(folder)
+    with folder.step(1, None) as ledger:
+        assert ledger.read_text() == "one"
+        ledger.write_text("two")
+    with folder.step(1, None) as ledger:  # killed before its row was written: done again from the same start
+        assert ledger.read_text() == "one"
+        ledger.write_text("two again")
+    folder.tidy(2)
+    assert [path.name for path in folder.path.iterdir()] == ["after-0002"]
+    assert (folder.after(2) / "ledger.sqlite").read_text() == "two again"
+
+
+def test_the_rule_of_each_kind_of_memory():
+    static, dynamic, success = (rule(METHODS[name], 0.004) for name in ("B4", "M", "M-success"))
+    assert static is None
+    assert (dynamic.reinforces(1, 0.003), dynamic.reinforces(1, 0.005)) == (True, False)
+    assert success.reinforces(1, 1.9)
+    assert success.factors(0, 0.001) == success.factors(0, 1.0)  # Δ says nothing any more
+    assert rule(METHODS["M-half"], 0.004).epsilon == 0.002
+
+
+# --- suites and files --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_suites_are_sound(name):
+    found = open_suite(name)
+    assert found.name == name
+    assert units_of(found, "fly")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (b'methods = ["B9"]', "B9"), (b"runs = 9", "no more runs than seeds"), (b"first = 3", "for tests"),
+        (b'methods = ["P"]', "adapted"), (b'robots = ["base"]', "can have"), (b"colour = 3", "colour"),
+    ],
+)  # fmt: skip
+def test_an_unsound_suite_is_refused_with_its_reason(change, said):
+    key = change.split()[0]
+    kept = [line for line in SUITE.splitlines() if not line.startswith(key)]
+    with pytest.raises((InvalidSetup, UnknownName), match=said):
+        read_suite(b"\n".join([change, *kept]), "x.toml")
+
+
+def test_a_table_is_read_as_it_was_written(tmp_path):
+    rows = [
+        row(), row("B1", Delta=None, frequency=None, violations=(COLLISION,), trace_h=[], trace_t=[], trace_delta=[]),
+        row("M", answers=[["{", "length"], ["{}", "stop"]], instruction="ä \"quoted\" | line\n"),
+    ]  # fmt: skip
+    write_table(rows, {"suite": {"name": "x"}}, tmp_path / "results.parquet")
+    assert read_table(tmp_path / "results.parquet") == (rows, {"suite": {"name": "x"}})
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    (tmp_path / "results.parquet").write_bytes(b"PAR1 no")
+    with pytest.raises(InvalidSetup, match="results"):
+        read_table(tmp_path / "results.parquet")
