@@ -37,7 +37,7 @@ def adapt(
     robot
         Whose planner.
     base
-        The model that is adapted, from `dualbrain models list`.
+        The model that is adapted: from `dualbrain models list`, or base-135m.
     ledger
         Which memory; default in dualbrain's home.
     config
@@ -90,7 +90,7 @@ def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> An
 
 def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, json: bool) -> int:
     """Fit an adapter, with its progress on stderr."""
-    from dualbrain import weights
+    from dualbrain.adaptation.bases import find_base
     from dualbrain.adaptation.compliance import gate_judge
     from dualbrain.cli.adapters import registry_of_adapters
 
@@ -98,10 +98,9 @@ def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, js
         got, fix = dataset.card.registry, "The vocabulary has changed since: choose anew, with another --out."
         raise InvalidSetup("registry of the data set", got=got, allowed=registry.hash, fix=fix)
     night = adapt_with_torch()
-    file, path = weights.find_file(base), weights.locate(base, cache())
     account = Account()
     card = night.adapt(
-        dataset, dials, night.Base(base, path, file.sha256), gate_judge(registry), folder, cache=cache(),
+        dataset, dials, find_base(base, cache()), gate_judge(registry), folder, cache=cache(),
         clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
     )  # fmt: skip
     registry_of_adapters().add(folder / "adapter", now=time.time())

@@ -45,7 +45,7 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
 
 
 def _base_135m(folder: Path) -> Any:
-    from dualbrain import weights
+    from dualbrain.adaptation.bases import find_base
     from dualbrain.adaptation.dataset import read_dataset, write_dataset
     from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course, language_judge
     from dualbrain.cli.adapt import adapt_with_torch, step_words
@@ -58,9 +58,8 @@ def _base_135m(folder: Path) -> Any:
         account.print(f"going on with the lessons in {folder}")
     else:
         write_dataset(course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries), folder / DATASET)
-    file, path = weights.find_file("smollm2-135m-instruct"), weights.locate("smollm2-135m-instruct", cache())
     card = night.adapt(
-        read_dataset(folder / DATASET), DIALS, night.Base(file.name, path, file.sha256), language_judge(registries),
+        read_dataset(folder / DATASET), DIALS, find_base("smollm2-135m-instruct", cache()), language_judge(registries),
         folder, cache=cache(), clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
     )  # fmt: skip
     account.print(f"adapter {card.id} in {folder / 'adapter'}")

@@ -12,31 +12,49 @@ from typing import Any
 import torch
 from transformers import AutoModelForCausalLM, AutoTokenizer
 
+from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.durable import DiskFull, sync_folder
-from dualbrain.errors import InvalidSetup
+from dualbrain.adaptation.serving.peft_lora import Pair, read_lora
+from dualbrain.errors import InvalidSetup, MissingPart
 
 
-def open_base(gguf: Path, sha256: str, cache: Path, dtype: Any) -> tuple[Any, Any]:
-    """Model and tokenizer of the file `gguf`, whose verified hash is `sha256`; no network, no code from files.
+def open_base(base: Base, cache: Path, dtype: Any) -> tuple[Any, Any]:
+    """Model and tokenizer of `base`, with what it wears merged into its weights; no network, no code from files.
 
     The first time it is dequantised into `cache`, 4 bytes a parameter: block scales times quanta, in float32, as
     llama.cpp does; so in float32 the weights are exactly those that serve. `dtype` bf16 rounds each by at most 2^-9 of
     itself. llama.cpp also rounds activations to 8 bits, which torch does not: gate and canary run where it serves.
     """
-    folder = cache / "torch" / sha256[:32]
+    folder = cache / "torch" / base.gguf_sha256[:32]
     if not folder.is_dir():
-        _dequantise(gguf, folder)
+        _dequantise(base.gguf, folder)
     tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
     model = AutoModelForCausalLM.from_pretrained(
-        folder, dtype=dtype, attn_implementation="eager", local_files_only=True, use_safetensors=True
+        folder, dtype=torch.float32, attn_implementation="eager", local_files_only=True, use_safetensors=True
     )  # eager: at some 200 tokens quicker on a processor than the fused attention, whose backward is slow
     if tokenizer.chat_template is None:
-        raise InvalidSetup("base", got=f"{gguf.name}, without a chat template", allowed="an instruction-tuned model")
+        raise InvalidSetup(
+            "base", got=f"{base.gguf.name}, without a chat template", allowed="an instruction-tuned model"
+        )
+    for worn in base.wears:
+        merge(model, read_lora(worn))
+    for parameter in model.parameters():  # not the buffers: rotary frequencies stay float32
+        parameter.data = parameter.data.to(dtype)
     return model.eval().requires_grad_(False), tokenizer
+
+
+@torch.no_grad()
+def merge(model: Any, lora: dict[str, Pair]) -> None:
+    """W ← W + BA for each layer that `lora` names (the scale stands in B already), in the numbers of the model."""
+    for name, pair in lora.items():
+        weight = model.get_submodule(name).weight
+        weight += (torch.from_numpy(pair.b) @ torch.from_numpy(pair.a)).to(weight.dtype)
 
 
 def _dequantise(gguf: Path, folder: Path) -> None:
     """Write the model as safetensors with its tokenizer, whole or not at all."""
+    if not gguf.is_file():
+        raise MissingPart(f"The model file {gguf.name!r}", fix=f"Get it with `dualbrain models fetch`. {gguf}")
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".dequantised-"))
     try:

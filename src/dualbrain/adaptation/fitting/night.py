@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import msgspec
 import torch
 
 from dualbrain.adaptation.adapter_card import AdapterCard, proposed_by_others, weights_id, write_card
+from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.compliance import Judge
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.dataset import Dataset
@@ -27,15 +27,6 @@ from dualbrain.adaptation.fitting.taught import prepare
 ADAPTER, STATES, RESOLVED = "adapter", "base_states.safetensors", "config.json"
 
 
-@dataclass(frozen=True, slots=True)
-class Base:
-    """The model that is adapted: its name, its verified GGUF and the hash of that."""
-
-    name: str
-    gguf: Path
-    sha256: str
-
-
 def adapt(
     dataset: Dataset, config: AdaptConfig, base: Base, judge: Judge, folder: Path, *, cache: Path,
     clock: Callable[[], float], tell: Callable[[Progress], None],
@@ -47,7 +38,7 @@ def adapt(
     torch.set_num_threads(config.fit.threads or 1)
     torch.use_deterministic_algorithms(mode=True)
     dtype = choose(config.fit.precision)
-    model, tokenizer = open_base(base.gguf, base.sha256, cache, dtype)
+    model, tokenizer = open_base(base, cache, dtype)
     learner = Learner(model, tokenizer, config.fit)
     folder.mkdir(parents=True, exist_ok=True)
     write_durably(folder / RESOLVED, msgspec.json.format(msgspec.json.encode(config), indent=2))

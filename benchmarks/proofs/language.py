@@ -1,0 +1,167 @@
+"""language: an adapter that was taught the language of contracts, asked freely in scenes and words it has never seen.
+
+Greedy, with no grammar, no schema and no rules in the prompt, in the runtime that serves. The gate that judges is the
+one before the robot in that scene, with its rules of reach, opening and hand.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from dualbrain.adaptation.lessons.lesson import free_parameters
+from dualbrain.adaptation.lessons.score import SAID, Score, score
+from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
+from dualbrain.adaptation.sample import Sample
+from dualbrain.adaptation.serving.layers import Stack, stack_of
+from dualbrain.adaptation.serving.opening import N_CTX, wear
+from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.cli import folders
+from dualbrain.contracts.contract import Action, Contract
+from dualbrain.planner.asking import FREE
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.weights import find_file, locate
+from proofs.figures import share, table
+from proofs.proof import Options, Row, Unit
+
+QUESTIONS, TOGETHER = 120, 10
+LONGEST = 400
+"""Tokens of an answer: three things put away take some 330."""
+ADAPTER, BARE = "base-135m", "smollm2-135m-instruct"
+
+
+class Language:
+    """The base of the main table speaks."""
+
+    name = "language"
+    claim = (
+        f"base-135m answers {QUESTIONS} questions freely, in scenes, sentences, a task family and things that it was "
+        "not taught: compliant, the right things, in the right order; and it follows the first exemplar it is shown."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """Ten questions a unit; a few of them also to the model without its adapter."""
+        del options
+        asked = [(ADAPTER, first) for first in range(0, QUESTIONS, TOGETHER)] + [(BARE, 0), (BARE, TOGETHER)]
+        return [Unit(f"{who} questions {first}-{first + TOGETHER - 1}", {"who": who, "first": first})
+                for who, first in asked]  # fmt: skip
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """Ask, and judge each answer by the gate of its scene."""
+        planner, first = speaker(about["who"]), about["first"]
+        return {**about, "answers": [judged(one, free(planner, one)) for one in questions()[first : first + TOGETHER]]}
+
+    def brief(self, row: Row) -> str:
+        """How many were right."""
+        return f"{sum(map(right, row['answers']))} of {len(row['answers'])} right"
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """Shares with their intervals, by what had not been taught."""
+        lines: list[str] = []
+        for who in (ADAPTER, BARE):
+            answers = [one for row in rows if row["who"] == who for one in row["answers"]]
+            if answers:
+                lines += [f"{who}:", "", *by_slice(answers)]
+        return lines
+
+
+SLICES: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "all": lambda one: True,
+    "panda": lambda one: one["scene"].startswith("panda"),
+    "ur5e": lambda one: one["scene"].startswith("ur5e"),
+    "base": lambda one: one["scene"].startswith("base"),
+    f"family {HELD_OUT_FAMILY}": lambda one: f" {HELD_OUT_FAMILY}:" in one["scene"],
+    "asked for a held-out kind of thing": lambda one: bool(one["unknown"]),
+    "two goals or more": lambda one: one["goals"] > 1,
+    "to be declined": lambda one: one["declines"],
+    "with exemplars": lambda one: one["shown"] > 0,
+}
+
+
+def by_slice(answers: list[dict[str, Any]]) -> list[str]:
+    """One line a slice."""
+    parts = {name: [one for one in answers if belongs(one)] for name, belongs in SLICES.items()}
+    cells = (
+        (name, *(share(sum(one[what] for one in some), len(some)) for what in ("json", "compliant", "skills")),
+         share(sum(map(right, some)), len(some)), followed(some))
+        for name, some in parts.items() if some
+    )  # fmt: skip
+    return table(("questions", "JSON", "compliant", "right skills in order", "right", "follows the exemplar"), cells)
+
+
+def right(one: dict[str, Any]) -> bool:
+    """Compliant, the right skills in the right order, on the right things."""
+    return bool(one["compliant"] and one["skills"] and one["named"])
+
+
+def followed(answers: list[dict[str, Any]]) -> str:
+    """In how many answers all open parameters that the first exemplar shows are its own."""
+    able = [one["follows"] for one in answers if one["follows"] is not None]
+    return share(sum(able), len(able)) if able else "-"
+
+
+@cache
+def questions() -> tuple[Sample, ...]:
+    """The questions, always the same."""
+    return lessons(QUESTIONS, "test")
+
+
+@cache
+def speaker(name: str) -> LlamaPlanner:
+    """The model called `name` with what it wears, opened once a process, and nothing that binds its answers."""
+    cache_folder = folders.cache()
+    if name in packaged_names():
+        stack = stack_of(packaged_folder(name), cache_folder)
+    else:
+        stack = Stack(find_file(name).name, locate(name, cache_folder), ())
+    return wear(stack, cache_folder, LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
+
+
+def free(planner: LlamaPlanner, question: Sample) -> str:
+    """The free answer; "" where there is none."""
+    said = say(planner, question.prompt, longest=LONGEST)
+    return said.text if isinstance(said, Said) else ""
+
+
+def judged(question: Sample, text: str) -> dict[str, Any]:
+    """The score of an answer, with what its question is an instance of."""
+    setting = setting_of(question.scene)
+    found: Score = score(text, question.contract, setting.registry, setting.accepts)
+    wanted = msgspec.json.decode(question.contract, type=Contract).action_sequence
+    named = {str(value) for action in wanted for value in action.params.values()}
+    unknown = sorted(name for name in named if name.rpartition("_")[2] in HELD_OUT_CATEGORIES)
+    return {
+        "id": question.id, "scene": question.scene, "text": text, "wanted": question.contract,
+        **msgspec.to_builtins(found), "unknown": unknown, "goals": len(wanted) // 2 + len(wanted) % 2,
+        "declines": wanted[0].skill == "decline", "shown": len(shown(question)),
+        "follows": follows(question, text) if found.compliant else None,
+    }  # fmt: skip
+
+
+def shown(question: Sample) -> list[list[Action]]:
+    """The steps of the exemplars in the prompt."""
+    lines = re.findall("<example>\n(.*)\n</example>", question.prompt[-1]["content"])
+    return [msgspec.convert(json.loads(line), list[Action]) for line in lines]
+
+
+def follows(question: Sample, text: str) -> bool | None:
+    """Whether every step takes all its open parameters from a like step of the first exemplar; None if there is none.
+
+    Numbers count as taken if they are equal.
+    """
+    registry = setting_of(question.scene).registry
+    first = next(iter(shown(question)), [])
+    told: list[bool] = []
+    for action in msgspec.json.decode(text, type=Contract).action_sequence:
+        said = [name for skill, name in SAID if skill == action.skill]
+        models = [free_parameters(registry, one, said) for one in first if one.skill == action.skill]
+        if models and (own := free_parameters(registry, action, said)):
+            told.append(own in models)
+    return all(told) if told else None

@@ -1,0 +1,38 @@
+"""What an adapter is fitted on: a model by name, or a packaged adapter together with the model that it sits on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.weights import find_file, locate
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """The model that is adapted: its name, its verified GGUF with the hash of that, the adapters that it `wears`."""
+
+    name: str
+    gguf: Path
+    gguf_sha256: str
+    wears: tuple[Path, ...] = ()
+    worn: str = ""
+
+    @property
+    def sha256(self) -> str:
+        """What names it in a card: the hash of the file, or the id of the adapter on top of it."""
+        return self.worn or self.gguf_sha256
+
+
+def find_base(name: str, cache: Path) -> Base:
+    """The base called `name`, a model of the manifest or a packaged adapter; every file found to be as it is named.
+
+    Raises `UnknownName`, `MissingPart`, `WrongHash`, `InvalidSetup`.
+    """
+    if name not in packaged_names():
+        return Base(name, locate(name, cache), find_file(name).sha256)
+    stack = stack_of(packaged_folder(name), cache)
+    folders = tuple(layer.folder for layer in stack.layers)
+    return Base(name, stack.gguf, find_file(stack.base).sha256, folders, stack.top.id)

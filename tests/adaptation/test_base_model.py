@@ -1,0 +1,101 @@
+"""The base in torch is the one in the GGUF, with what it wears; it is dequantised once."""
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
+pytest.importorskip("peft", reason="the extra `adapt` is not installed")
+
+from dualbrain.adaptation.adapter_card import weights_id  # noqa: E402
+from dualbrain.adaptation.bases import Base, find_base  # noqa: E402
+from dualbrain.adaptation.fitting.base_model import open_base  # noqa: E402
+from dualbrain.errors import MissingPart, UnknownName  # noqa: E402
+from dualbrain.weights import find_file  # noqa: E402
+from tests.adaptation import tiny_gguf, tiny_served  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning", "ignore::DeprecationWarning")
+IDS = torch.tensor([[5, 80, 33, 200, 7, 7, 121]])
+
+
+@pytest.fixture(scope="module")
+def patch():
+    with pytest.MonkeyPatch.context() as one:
+        yield one
+
+
+class WithMerge:
+    """The tiny words, the last of which is what the one merge in the file makes: transformers wants it to be there."""
+
+    def __init__(self, words):
+        self._words = words
+
+    def get_vocab(self):
+        vocabulary = self._words.get_vocab()
+        last = next(token for token, number in vocabulary.items() if number == 255)
+        return {("Āā" if token == last else token): number for token, number in vocabulary.items()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, patch):
+    """A cache that holds a tiny base, and the torch model that was written into it."""
+    plain = tiny_gguf.tokenizer
+    patch.setattr(tiny_gguf, "tokenizer", lambda: WithMerge(plain()))
+    cache = tmp_path_factory.mktemp("made") / "cache"
+    return cache, tiny_served.base(cache, patch)
+
+
+def logits(model):
+    with torch.no_grad():
+        return model(input_ids=IDS).logits.float()
+
+
+def test_what_was_dequantised_computes_what_the_file_says(made):
+    cache, source = made
+    base = find_base(tiny_served.BASE, cache)
+    assert base.sha256 == find_file(tiny_served.BASE).sha256
+    model, tokenizer = open_base(base, cache, torch.float32)
+    torch.testing.assert_close(logits(model), logits(source), rtol=1e-5, atol=1e-5)
+    assert tokenizer.chat_template
+    assert not any(parameter.requires_grad for parameter in model.parameters())
+
+
+def test_it_is_dequantised_once(made):
+    cache, _ = made
+    base = find_base(tiny_served.BASE, cache)
+    first, _ = open_base(base, cache, torch.float32)
+    gone = Base(base.name, cache / "gone.gguf", base.gguf_sha256)
+    again, _ = open_base(gone, cache, torch.float32)
+    assert torch.equal(logits(first), logits(again))
+
+
+def test_in_bf16_the_weights_are_rounded_and_the_angles_are_not(made):
+    cache, source = made
+    model, _ = open_base(find_base(tiny_served.BASE, cache), cache, torch.bfloat16)
+    theirs = dict(source.named_parameters())
+    for name, parameter in model.named_parameters():
+        assert torch.equal(parameter, theirs[name].to(torch.bfloat16)), name
+    angles = [buffer for name, buffer in model.named_buffers() if "inv_freq" in name]
+    assert angles
+    assert all(buffer.dtype == torch.float32 for buffer in angles)
+
+
+def test_what_a_base_wears_is_merged_into_it(made, tmp_path):
+    cache, source = made
+    folder = tmp_path / "worn"
+    worn, _ = tiny_served.adapter(source, folder)
+    plain = find_base(tiny_served.BASE, cache)
+    base = Base("dressed", plain.gguf, plain.gguf_sha256, (folder,), weights_id(folder))
+    model, _ = open_base(base, cache, torch.float32)
+    torch.testing.assert_close(logits(model), logits(worn), rtol=1e-4, atol=1e-4)
+    assert not torch.allclose(logits(model), logits(open_base(plain, cache, torch.float32)[0]), atol=1e-2)
+    assert base.sha256 == weights_id(folder)
+
+
+def test_nobody_is_fitted_on_what_is_not_there(made):
+    cache, _ = made
+    with pytest.raises(UnknownName):
+        find_base("nobody", cache)
+    base = find_base(tiny_served.BASE, cache)
+    with pytest.raises(MissingPart, match="none.gguf"):
+        open_base(Base("x", cache / "none.gguf", "0" * 64), cache, torch.float32)
+    assert not (cache / "torch" / ("0" * 32)).exists()
+    assert base.gguf.is_file()
