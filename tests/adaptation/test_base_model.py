@@ -95,7 +95,7 @@ def test_nobody_is_fitted_on_what_is_not_there(made):
     with pytest.raises(UnknownName):
         find_base("nobody", cache)
     base = find_base(tiny_served.BASE, cache)
-    with pytest.raises(MissingPart, match="none.gguf"):
+    with pytest.raises(MissingPart, match=r"none\.gguf"):
         open_base(Base("x", cache / "none.gguf", "0" * 64), cache, torch.float32)
     assert not (cache / "torch" / ("0" * 32)).exists()
     assert base.gguf.is_file()

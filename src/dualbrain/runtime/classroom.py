@@ -5,12 +5,13 @@ Nothing moves here: a contract is shown if the gate accepts it in that scene, wh
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
 
 from dualbrain.adaptation.lessons.kinds import Speech, book, own_sentences
-from dualbrain.adaptation.lessons.lesson import Setting, lesson
+from dualbrain.adaptation.lessons.lesson import SHOWN, Setting, lesson
 from dualbrain.adaptation.lessons.split import SEEDS, WORDINGS, Part, may_stand
 from dualbrain.adaptation.sample import Sample
 from dualbrain.contracts.gate import Gate
@@ -35,15 +36,20 @@ LONGEST = 1500
 """Characters of question and answer that are taught; the longest sixth costs as much time as the shortest half."""
 
 
-def lessons(count: int, part: Part, seed: int = 0, robots: dict[str, float] = ROBOTS) -> tuple[Sample, ...]:
-    """`count` lessons of `part`, no question twice; the same arguments give the same lessons."""
+def lessons(
+    count: int, part: Part, seed: int = 0, robots: Mapping[str, float] = ROBOTS, *, exemplars: float = SHOWN
+) -> tuple[Sample, ...]:
+    """`count` lessons of `part`, no question twice; the same arguments give the same lessons.
+
+    `robots` says how often which robot is spoken to, `exemplars` how often some are shown.
+    """
     rng = np.random.default_rng([seed, *part.encode()])
     found: dict[str, Sample] = {}
     names, shares = list(robots), np.array(list(robots.values()))
     while len(found) < count:
         robot = str(rng.choice(names, p=shares / shares.sum()))
         spec = draw_scene(robot, part, rng)
-        one = lesson(setting(spec), book(), speech(mobile(robot), part), rng)
+        one = lesson(setting(spec), book(), speech(mobile(robot), part), rng, exemplars=exemplars)
         if one is not None and (part == "test" or length(one) <= LONGEST):
             found.setdefault(str(one.prompt[-1]), one)
     return tuple(found.values())

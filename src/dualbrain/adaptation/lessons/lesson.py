@@ -54,12 +54,14 @@ class Setting:
     accepts: Callable[[bytes], bool] = field(repr=False)
 
 
-def lesson(setting: Setting, book: Book, speech: Speech, rng: np.random.Generator) -> Sample | None:
-    """A lesson in this setting, None if what was drawn cannot be done here."""
+def lesson(
+    setting: Setting, book: Book, speech: Speech, rng: np.random.Generator, *, exemplars: float = SHOWN
+) -> Sample | None:
+    """A lesson in this setting, None if what was drawn cannot be done here; `exemplars` is how often some are shown."""
     errand = draw_errand(setting.names, setting.mobile, book, speech, rng)
     if errand is None:
         return None
-    return next(filter(None, (_attempt(setting, errand, book, rng) for _ in range(TRIES))), None)
+    return next(filter(None, (_attempt(setting, errand, book, exemplars, rng) for _ in range(TRIES))), None)
 
 
 def free_parameters(registry: Registry, action: Action, decided: Sequence[str] = ()) -> dict[str, Value]:
@@ -69,9 +71,9 @@ def free_parameters(registry: Registry, action: Action, decided: Sequence[str] =
     return {name: value for name, value in action.params.items() if name in open_ones}
 
 
-def _attempt(setting: Setting, errand: Errand, book: Book, rng: np.random.Generator) -> Sample | None:
+def _attempt(setting: Setting, errand: Errand, book: Book, exemplars: float, rng: np.random.Generator) -> Sample | None:
     """The lesson with one draw of all that is open, None if the gate refuses it."""
-    registry, shown = setting.registry, [list[Action]() for _ in range(_how_many(rng))]
+    registry, shown = setting.registry, [list[Action]() for _ in range(_how_many(exemplars, rng))]
     for exemplar in shown:
         exemplar += [draw_action(registry, skill, given, rng) for skill, given in _other(setting, errand, book, rng)]
     follow = shown[0] if shown and rng.random() < FOLLOWED else []
@@ -124,5 +126,5 @@ def _given(setting: Setting, skill: str, book: Book, rng: np.random.Generator) -
     return given
 
 
-def _how_many(rng: np.random.Generator) -> int:
-    return int(rng.choice(np.arange(1, MAX_SHOWN + 1), p=COUNTS)) if rng.random() < SHOWN else 0
+def _how_many(often: float, rng: np.random.Generator) -> int:
+    return int(rng.choice(np.arange(1, MAX_SHOWN + 1), p=COUNTS)) if rng.random() < often else 0

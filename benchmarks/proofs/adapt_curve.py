@@ -1,0 +1,263 @@
+"""adapt_curve: what each part of adaptation is worth, from the same proposals, by free answers that nobody taught.
+
+Every arm starts from base-135m. All arms of a seed share the flights of `proposals`; they differ in what of them is
+taught and how. The answers are asked for greedily with no grammar, in the runtime that serves; those that the gate
+accepts are carried out in their scenes.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.clean_rules import CleanRules
+from dualbrain.adaptation.compliance import gate_judge
+from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
+from dualbrain.adaptation.curate import curate
+from dualbrain.adaptation.dataset import Dataset, dataset_of
+from dualbrain.adaptation.lessons.course import course
+from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
+from dualbrain.adaptation.sample import Sample
+from dualbrain.adaptation.serving.layers import Stack, stack_of
+from dualbrain.adaptation.serving.opening import N_CTX, wear
+from dualbrain.adaptation.serving.packaged import packaged_folder
+from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.cli import folders
+from dualbrain.contracts.schema import short_form
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.asking import FREE
+from dualbrain.planner.chat import Answer
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.prompt import Message, render
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Recall
+from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.world.catalogue import open_scene
+from proofs.closed_loop import fly
+from proofs.figures import table
+from proofs.language import LONGEST, judged, right
+from proofs.proof import Options, Row, Unit
+from proofs.proposals import LEDGER, ROBOT, flown, instruction_of, proposed
+
+SEEDS, STEPS, FLIGHTS = range(3), (50, 150), 400
+A_SLICE, CARRIED_OUT, DRAWN, DRAWS = 20, 24, 5, 16
+"""Questions of each slice, answers that are carried out, questions that are drawn from, draws of each."""
+EPSILON = CleanRules().epsilon
+PLAIN = ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none")
+FULL = ObjectiveDials()
+TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
+    "full": (True, FULL),
+    "sft, all proposals": (False, PLAIN),
+    "sft, clean ones": (True, PLAIN),
+    "+ entropy": (True, msgspec.structs.replace(PLAIN, lambda_h=FULL.lambda_h, entropy_gate="sample")),
+    "+ KL": (True, msgspec.structs.replace(PLAIN, beta=FULL.beta)),
+    "EAFT's gate": (True, msgspec.structs.replace(PLAIN, entropy_gate="token")),
+}
+"""By arm: whether only clean episodes are taught, and the objective."""
+ASKED_ONLY = ("base", "base, long prompt")
+MEASURES = ("compliant", "skills", "right", "quiet", "valid draws")
+
+
+class AdaptCurve:
+    """What adaptation is worth, part by part."""
+
+    name = "adapt_curve"
+    claim = (
+        f"From {FLIGHTS} random valid proposals, each carried out once: free one-shot compliance, right skills, right "
+        "things, and parameters that the filter leaves alone, by arm, over fits of up to 150 steps."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """The arms that need no fit, then seed by seed the long fits, then the short ones."""
+        folder = str(options.folder / self.name)
+        told: list[dict[str, Any]] = [{"arm": arm, "seed": 0, "steps": 0} for arm in ASKED_ONLY]
+        told += [
+            {"arm": arm, "seed": seed, "steps": steps} for steps in reversed(STEPS) for seed in SEEDS for arm in TAUGHT
+        ]
+        return [
+            Unit(f"{one['arm']}, seed {one['seed']}, {one['steps']} steps", {**one, "folder": folder}) for one in told
+        ]
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """Fit if the arm is taught, ask, draw, carry out."""
+        arm, seed, steps, folder = about["arm"], about["seed"], about["steps"], Path(about["folder"])
+        row: Row = {"arm": arm, "seed": seed, "steps": steps}
+        stack = stack_of(packaged_folder("base-135m"), folders.cache())
+        if steps:
+            row |= fit(arm, seed, steps, folder)
+            stack = stack_of(place(arm, seed, steps, folder) / "adapter", folders.cache())
+        return row | asked(stack, long=arm == "base, long prompt")
+
+    def brief(self, row: Row) -> str:
+        """The measures."""
+        return ", ".join(f"{what} {value:.0%}" for what, value in measures(row).items())
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """Every arm at every length: means over seeds and their 95 % intervals (Student, over seeds)."""
+        keys = sorted({(row["steps"], row["arm"]) for row in rows})
+        cells: list[tuple[object, ...]] = []
+        for steps, arm in keys:
+            mine = [measures(row) for row in rows if (row["steps"], row["arm"]) == (steps, arm)]
+            cells.append((arm, steps, len(mine), *(interval([one[what] for one in mine]) for what in MEASURES)))
+        slices = [name for name in SLICES if name != "known"]
+        lines = table(("arm", "steps", "seeds", *MEASURES), cells)
+        lines += ["Right, by what had not been taught:", ""]
+        return lines + table(
+            ("arm", "steps", *slices),
+            [(arm, steps, *(interval([_right(row, name) for row in rows if (row["steps"], row["arm"]) == (steps, arm)])
+              for name in slices)) for steps, arm in keys],
+        )  # fmt: skip
+
+
+# --- teaching ---------------------------------------------------------------------------------------------------------
+
+
+def place(arm: str, seed: int, steps: int, folder: Path) -> Path:
+    """Where a fit lies."""
+    return folder / f"{arm.replace(' ', '-').replace(',', '')}-seed-{seed}-{steps}"
+
+
+def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
+    """Fit the arm, or go on where its fit was; what it was taught and what that cost."""
+    from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
+
+    clean, objective = TAUGHT[arm]
+    config = AdaptConfig(
+        objective=objective, fit=FitDials(steps=steps, seed=seed, save_every=25, ask_at_most=0, threads=1)
+    )
+    data = taught(flown(folder / "proposals", seed, FLIGHTS), clean=clean)
+    began, busy = time.monotonic(), time.process_time()
+    card = adapt(
+        data, config, find_base("base-135m", folders.cache()), gate_judge(vocabulary(ROBOT)),
+        place(arm, seed, steps, folder), cache=folders.cache(), clock=time.monotonic, tell=lambda progress: None,
+    )  # fmt: skip
+    cost = {"fit_s": time.monotonic() - began, "fit_cpu_s": time.process_time() - busy}
+    return {"adapter": card.id, "samples": len(data.train), "dataset": data.card.hash, **cost}
+
+
+def taught(folder: Path, *, clean: bool) -> Dataset:
+    """What is taught of the flights in `folder`: the clean ones, or all that was proposed, whatever became of it."""
+    registry = vocabulary(ROBOT)
+    if not clean:
+        every = proposed(folder)
+        return course(every[len(every) // 10 :], every[: len(every) // 10], {ROBOT: registry})
+    dials = AdaptConfig().curation
+    with LedgerReader(folder / LEDGER) as reader:
+        return dataset_of(curate(reader, registry, dials), registry, dials)
+
+
+# --- asking -----------------------------------------------------------------------------------------------------------
+
+
+def unknown_kind(one: Sample) -> bool:
+    """Whether it is about a thing of a kind that is held out."""
+    return any(f"_{kind}" in one.contract for kind in HELD_OUT_CATEGORIES)
+
+
+SLICES = {
+    "known": lambda one: HELD_OUT_FAMILY not in one.scene and not unknown_kind(one),
+    "family": lambda one: f" {HELD_OUT_FAMILY}:" in one.scene,
+    "kinds of things": unknown_kind,
+}
+"""All in scenes and sentences that were not taught; the last two also in a family or about things that were not."""
+
+
+@cache
+def questions() -> tuple[tuple[str, Sample], ...]:
+    """As many questions of each slice, for one robot, without exemplars."""
+    drawn = lessons(40 * A_SLICE, "test", 7, {ROBOT: 1.0}, exemplars=0.0)
+    return tuple((name, one) for name, belongs in SLICES.items() for one in list(filter(belongs, drawn))[:A_SLICE])
+
+
+def asked(stack: Stack, *, long: bool) -> Row:
+    """The answers of a model, what became of those that were carried out, and how many draws were valid."""
+    planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
+    try:
+        answers = [{"slice": name, **judged(one, answer(planner, one, long=long))} for name, one in questions()]
+        draws = [draw(planner, one, chance, long=long) for _, one in questions()[:DRAWN] for chance in range(DRAWS)]
+    finally:
+        planner.close()
+    good = [one for one in answers if right(one) and not one["declines"]]
+    return {
+        "answers": answers,
+        "valid_draws": sum(draws) / len(draws),
+        "flights": [flight(one) for one in good[:CARRIED_OUT]],
+    }
+
+
+def turns(one: Sample, *, long: bool) -> list[Message]:
+    """The short prompt, or the long one with rules, skills and worked examples."""
+    if not long:
+        return one.prompt  # pyright: ignore[reportReturnType]
+    setting = setting_of(one.scene)
+    registry, names = setting.registry, setting.names
+    return render(
+        PlanRequest(
+            instruction_of(one), setting.summary, Recall(), registry.robot, registry.hash, short_form(registry, names),
+            registry.decoding_schema(names), contract_id="c-0001",
+        )
+    )  # fmt: skip
+
+
+def answer(planner: LlamaPlanner, one: Sample, *, long: bool) -> str:
+    """The greedy free answer."""
+    said = say(planner, turns(one, long=long), longest=LONGEST)
+    return said.text if isinstance(said, Said) else ""
+
+
+def draw(planner: LlamaPlanner, one: Sample, chance: int, *, long: bool) -> bool:
+    """Whether an answer drawn at temperature 1 is compliant."""
+    body = {"messages": turns(one, long=long), "max_tokens": LONGEST, "temperature": 1.0, "seed": chance}
+    told = planner.tell("/v1/chat/completions", body)
+    text = "" if isinstance(told, Answer) else str(told["choices"][0]["message"].get("content") or "")
+    return bool(judged(one, text)["compliant"])
+
+
+def flight(one: dict[str, Any]) -> dict[str, Any]:
+    """What became of an answer: by the robot's own verdict, with the filter on."""
+    actions = msgspec.json.decode(one["text"])["action_sequence"]
+    outcome = fly(open_scene(one["scene"].removeprefix(f"{ROBOT} "), ROBOT), actions, goal=None).outcome
+    return {
+        "id": one["id"],
+        "kind": outcome.kind if outcome else "refused",
+        "Delta": outcome.Delta if outcome else None,
+    }
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def measures(row: Row) -> dict[str, float]:
+    """Shares in [0, 1]; "quiet": carried out with success and Δ ≤ ε."""
+    answers, flights = row["answers"], row["flights"]
+    quiet = [one["kind"] == "succeeded" and one["Delta"] is not None and one["Delta"] <= EPSILON for one in flights]
+    shares = {what: float(np.mean([one[what] for one in answers])) for what in ("compliant", "skills")}
+    shares |= {"right": float(np.mean([right(one) for one in answers])), "valid draws": row["valid_draws"]}
+    return shares | {"quiet": float(np.mean(quiet)) if quiet else math.nan}
+
+
+def _right(row: Row, name: str) -> float:
+    return float(np.mean([right(one) for one in row["answers"] if one["slice"] == name]))
+
+
+STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
+"""t of a two-sided 95 % interval, by the number of values."""
+
+
+def interval(values: list[float]) -> str:
+    """Mean and 95 % interval of the mean."""
+    mean = float(np.mean(values))
+    half = (
+        STUDENT.get(len(values), 1.96) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+        if len(values) > 1
+        else math.nan
+    )
+    return f"{mean:.0%}" if math.isnan(half) else f"{mean:.0%} ± {half:.0%}"
