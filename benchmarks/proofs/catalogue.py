@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from proofs.adapt_curve import AdaptCurve
 from proofs.adversary import Adversary
 from proofs.bare import Bare
 from proofs.conservatism import Conservatism
@@ -10,6 +11,7 @@ from proofs.faults import Faults
 from proofs.fuzz_socket import FuzzSocket
 from proofs.kernel import Kernel
 from proofs.kills import Kills
+from proofs.language import Language
 from proofs.learning import Learning
 from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
@@ -26,7 +28,7 @@ PROOFS: dict[str, Proof] = {
     for proof in (
         Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
         Robots(), Zoo(), Kills(), Poisoning(), Learning(),
-        Faults(), Cortex(), FuzzSocket(), Tick(),
+        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""
