@@ -57,18 +57,15 @@ class Judge:
         self.high = np.array([joint.upper.value for joint in body.joints])
 
     def placed(self, q: Array) -> dict[str, Array]:
-        """Centres (m, k, 3) of every link's spheres at postures q (m, n), or (m, 3) of a base."""
-        if not self.mobile:
-            turns, origins = chain_frames(self.body.joints, q)
-            return {
-                link.name: placed_centres(link, self.centres[link.name], turns, origins, 0.0) for link in self.links
-            }
-        c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
-        found: dict[str, Array] = {}
-        for name, local in self.centres.items():
-            x = c[:, None] * local[:, 0] - s[:, None] * local[:, 1] + q[:, 0, None]
-            y = s[:, None] * local[:, 0] + c[:, None] * local[:, 1] + q[:, 1, None]
-            found[name] = np.stack([x, y, np.broadcast_to(local[:, 2], x.shape)], axis=-1)
+        """Centres (m, k, 3) of every link's spheres at configurations q (m, n), of what drives (m, n + 1)."""
+        chain = np.hstack([np.zeros((len(q), 2)), q[:, 3:]]) if self.mobile else q
+        turns, origins = chain_frames(self.body.joints, chain)
+        found = {link.name: placed_centres(link, self.centres[link.name], turns, origins, 0.0) for link in self.links}
+        if self.mobile:
+            c, s, zero = np.cos(q[:, 2]), np.sin(q[:, 2]), np.zeros(len(q))
+            turn = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
+            at = np.column_stack([q[:, :2], zero])
+            found = {name: centres @ turn.transpose(0, 2, 1) + at[:, None] for name, centres in found.items()}
         return found
 
     def things(self, placed: dict[str, Array], obstacles: list[Obstacle]) -> Array:
@@ -89,6 +86,11 @@ class Judge:
                 gap = np.linalg.norm(placed[b] - placed[a][:, k, None], axis=2) - self.radii[b] - self.radii[a][k]
                 least = np.minimum(least, gap.min(axis=1))
         return least
+
+    def ranges(self, q: Array) -> Array:
+        """Least room (m,) to a joint's end; a base has none."""
+        joints, low, high = (q[:, 3:], self.low[2:], self.high[2:]) if self.mobile else (q, self.low, self.high)
+        return np.min(np.minimum(joints - low, high - joints), axis=1, initial=np.inf)
 
     def h(self, q: Array, obstacles: list[Obstacle]) -> Array:
         """Least h (m,) of things and own parts."""
@@ -125,7 +127,7 @@ def _judged(judge: Judge, path: Array, obstacles: list[Obstacle], counts: tuple[
     for q in np.array_split(path, max(1, len(path) // 2000)):
         placed = judge.placed(q)
         h_things, h_self = judge.things(placed, obstacles), judge.own(placed)
-        h_joint = np.full(len(q), np.inf) if judge.mobile else np.min(np.minimum(q - judge.low, judge.high - q), axis=1)
+        h_joint = judge.ranges(q)
         things, own, joint = min(things, h_things.min()), min(own, h_self.min()), min(joint, h_joint.min())
         below += int(np.sum(np.minimum(np.minimum(h_things, h_self), h_joint) < 0.0))
     return Account(counts, float(things), float(own), float(joint), below)
@@ -153,7 +155,7 @@ def _things(judge: Judge, q: Array, rng: np.random.Generator, count: int) -> lis
         shape = (Sphere(size), Capsule(0.5 * size, size), Box((size, float(rng.uniform(0.3, 1.0)) * size, 0.5 * size)))
         turn = rng.normal(size=4)
         w, x, y, z = (float(value) for value in turn / np.linalg.norm(turn))
-        away = rng.normal(size=3) * (1.0, 1.0, 0.1 if judge.mobile else 0.7)
+        away = rng.normal(size=3) * (1.0, 1.0, 0.1 if judge.mobile and not judge.body.carries_arm else 0.7)
         place = middle + rng.uniform(0.3, 1.0) * reach * away / np.linalg.norm(away)
         thing = Obstacle(
             f"thing{len(found)}", shape[int(rng.integers(3))], Pose(tuple(map(float, place)), (w, x, y, z))
@@ -166,7 +168,7 @@ def _things(judge: Judge, q: Array, rng: np.random.Generator, count: int) -> lis
 def _reach(judge: Judge, q: Array, rng: np.random.Generator) -> float:
     """How far any sphere comes from the first joint [m]; of a base, how far it should drive."""
     if judge.mobile:
-        return 3.0
+        return 1.5 if judge.body.carries_arm else 3.0
     low, high = np.maximum(judge.low, -np.pi), np.minimum(judge.high, np.pi)
     tries = np.vstack([q, low + (high - low) * rng.random((200, len(low)))])
     turns, origins = chain_frames(judge.body.joints, tries)

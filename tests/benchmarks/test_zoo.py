@@ -2,7 +2,11 @@
 
 import pytest
 from proofs.zoo import AGREE, BY_NAME, Zoo, why_it_fails
+from proofs.zoo_adversary import fight
 from proofs.zoo_robots import EMPTY, LEFT_OUT, ROBOTS, robots_folder
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.safety.filter import Status
 
 
 @pytest.mark.parametrize("name", ["ur3_robot", "tiago_base"])
@@ -11,6 +15,21 @@ def test_a_robot_that_nobody_here_wrote(name):
     assert why_it_fails(row) == ""
     assert max(row["pose"], row["jacobian"]) < AGREE
     assert row["coverage"] == 1.0
+
+
+def test_a_mobile_manipulator_under_the_same_attack():
+    """Arm and base driven at the worst at once; the whole proof is `test_no_h_below_zero_in_1e5_steps`."""
+    account = fight(load_body("mobile_panda"), seed=0, steps=500)
+    assert account.below == 0
+    assert account.status[Status.FAULT] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_no_h_below_zero_in_1e5_steps(seed):
+    account = fight(load_body("mobile_panda"), seed, 10_000)
+    assert account.below == 0
+    assert account.status[Status.FAULT] == 0
 
 
 def test_every_folder_of_the_package_is_made_or_named():

@@ -54,23 +54,28 @@ def identify(
     """
     from dualbrain.world.drive import named_drive  # MuJoCo is heavy
     from dualbrain.world.identify import identify_plant
+    from dualbrain.world.identify_carrier import identify_carrier
 
     kind, body = named_drive(drive), load_body(robot)
     target = _target(write, body)
     with _bar() as bar:
         task = bar.add_task(f"{robot}, {drive}", total=1.0)
-        found = identify_plant(
-            body, kind, load=load, seeds=range(seeds), seconds=seconds,
-            progress=lambda share, word: bar.update(task, completed=share, description=word),
-        )  # fmt: skip
-    entry = found.entry(drive, _provenance(robot, kind, seeds, seconds, load))
+        asked = {"load": load, "seeds": range(seeds), "seconds": seconds,
+                 "progress": lambda share, word: bar.update(task, completed=share, description=word)}  # fmt: skip
+        said, base_lag = _provenance(robot, kind, seeds, seconds, load), body.base_lag
+        if body.carries_arm:
+            both = identify_carrier(body, kind, **asked)
+            found, (entry, base_lag) = both.arm, both.entry(drive, said)
+        else:
+            found = identify_plant(body, kind, **asked)
+            entry = found.entry(drive, said)
     if write is not None:
-        write.write_bytes(encode(target.tracked(entry)))
+        write.write_bytes(encode(msgspec.structs.replace(target.tracked(entry), base_lag=base_lag)))
         print(f"{write}: tracking model of the {drive} drive renewed", file=sys.stderr)
     if json:
         print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
     else:
-        _tell(body, entry, found, written=write is not None)
+        _tell(body, entry, found, base_lag, written=write is not None)
     return Exit.SUCCESS
 
 
@@ -94,9 +99,11 @@ def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: 
     return f"dualbrain robot identify {asked}; MuJoCo plant, dualbrain {__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def _tell(body: Body, entry: Tracking, found: TrackingModel, *, written: bool) -> None:
+def _tell(
+    body: Body, entry: Tracking, found: TrackingModel, base_lag: float | None, *, written: bool
+) -> None:  # fmt: skip
     table = Table("", "", box=None, pad_edge=False, show_header=False)
-    table.add_row("lag", f"{entry.lag * 1e3:.3f} ms")
+    table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
     table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
     table.add_row("rows keep α e", f"{entry.budget(body.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
     table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")

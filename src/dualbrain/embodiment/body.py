@@ -15,7 +15,7 @@ from dualbrain.errors import UnknownName
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-BODIES = ("panda", "fr3", "ur5e", "base")
+BODIES = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 
 
 class Bound(msgspec.Struct, frozen=True):
@@ -116,6 +116,8 @@ class Body(msgspec.Struct, frozen=True):
     """Everything the filter and the skills know of one robot; pure data, read from `data/<name>.json`.
 
     `gain` [1/s] bounds the filter's α where it must be below what the acceleration limits alone can follow.
+    `base_lag` [s] is by how much later than `tracking.lag` a base follows its command; where it is given, the filter
+    takes the base along its arcs, and else straight on for the moment.
     """
 
     name: str
@@ -134,6 +136,7 @@ class Body(msgspec.Struct, frozen=True):
     base: Literal["fixed", "differential"] = "fixed"
     other_drives: tuple[Tracking, ...] = ()
     gain: Bound | None = None
+    base_lag: float | None = None
 
     @property
     def n(self) -> int:
@@ -144,6 +147,11 @@ class Body(msgspec.Struct, frozen=True):
     def mobile(self) -> bool:
         """Whether the body drives: its configuration begins with (x, y, θ), its control with (v, ω)."""
         return self.base == "differential"
+
+    @property
+    def carries_arm(self) -> bool:
+        """Whether the body drives and has an arm as well: a mobile manipulator."""
+        return self.mobile and self.n > 2
 
     @property
     def width(self) -> int:

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment import base, fr3, panda, ur5e
+from dualbrain.embodiment import base, fr3, mobile_panda, panda, ur5e
 from dualbrain.embodiment.body import (
     BODIES,
     Body,
@@ -145,6 +145,19 @@ FACTS: dict[str, Facts] = {"panda": panda, "fr3": fr3, "ur5e": ur5e}
 """To add a body, write its facts and name them here and in `BODIES`."""
 
 
+def _base(known: Body | None) -> Body:
+    return base.body(known.tracking if known else UNKNOWN)
+
+
+def _mobile_panda(known: Body | None) -> Body:
+    tracking, lag = (known.tracking, known.base_lag) if known else (UNKNOWN, 0.0)
+    return mobile_panda.body(load_body("panda"), tracking, lag)
+
+
+DRIVING: dict[str, Callable[[Body | None], Body]] = {"base": _base, "mobile_panda": _mobile_panda}
+"""Bodies that drive are put together from what is known; handed over is what the old file holds."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: `panda --out FILE [--seed N]`; progress on stderr."""
     parser = argparse.ArgumentParser(prog="python -m dualbrain.embodiment.generate", description=__doc__)
@@ -152,11 +165,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    if asked.body not in (*FACTS, "base"):
-        raise UnknownName("robot", asked.body, (*FACTS, "base"))
-    if asked.body == "base":
-        known = load_body("base") if data_file("base").is_file() else None
-        body = base.body(known.tracking if known else UNKNOWN)
+    if asked.body not in (*FACTS, *DRIVING):
+        raise UnknownName("robot", asked.body, (*FACTS, *DRIVING))
+    if asked.body in DRIVING:
+        known = load_body(asked.body) if data_file(asked.body).is_file() else None
+        body = DRIVING[asked.body](known)
     else:
         body = make(asked.body, asked.seed, FitOptions(), CONFIGURATIONS, _to_stderr)
     asked.out.write_bytes(encode(body))

@@ -10,6 +10,7 @@ from dualbrain.records import HalfSpace, Pose, Scene, SceneObject
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.carrier import Carrier
 from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Senses
@@ -27,8 +28,8 @@ def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
     return gate.check(data, names=scene_names(seen), principal=PLANNER, now=0.0)
 
 
-def limb_at_home(robot: str, scene: Scene) -> Limb | Chassis:
-    """An arm at its home posture, or a base at its start, that sees `scene`."""
+def limb_at_home(robot: str, scene: Scene) -> Limb | Chassis | Carrier:
+    """An arm at its home posture, a base at its start, or both, that sees `scene`."""
     body = load_body(robot)
     safety = SafetyFilter(body)
     limb = limb_of(body, safety)

@@ -23,6 +23,7 @@ from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.scene_watch import SceneWatch, believed
 from dualbrain.runtime.steady import Steady
 from dualbrain.safety.barriers.traversable import traversable
+from dualbrain.safety.barriers.workspace import plane
 from dualbrain.safety.checks import CHECKS
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.filter import Filtered, SafetyFilter
@@ -45,6 +46,8 @@ LET_GO = 0.5
 """For this long after it was let go a thing is believed to fall and roll [s]."""
 INTERRUPTED = "interrupted by a person"
 """How an action ends when a person wants the robot to stop."""
+GROUND = plane("the ground", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), parts=("arm", "hand", "fingers", "held"))
+"""What an arm on a base is kept above; a bolted arm has its table."""
 IDLE = -1
 """Action index of ticks outside a contract."""
 
@@ -117,6 +120,7 @@ class LocalLayer:
             max(1, round(every / body.period)) for every in (config.look_every, config.watch_every)
         )
         self.limb = limb_of(body, safety)
+        self._ground = (GROUND,) if body.carries_arm else ()
         self.interrupted, self._asked, self._clock, self._lap = interrupted, asked, clock, lap
         self.spine = Spine(safety, timing=timing)
         self._on = True
@@ -398,7 +402,7 @@ class LocalLayer:
         known = supports | {name for name in self._roles.values() if name} | self._on_map()
         obstacles, stamp = from_scene(self.scene, known=known, held=held), believed(self.scene)
         if self.scene.region:
-            obstacles = (*obstacles, *traversable("the floor", self.scene.region))
+            obstacles = (*obstacles, *traversable("the floor", self.scene.region), *self._ground)
         self.log.call(self.state.stamp, "observe", obstacles=obstacles, stamp=stamp)
         self.safety.observe(obstacles, stamp)
 

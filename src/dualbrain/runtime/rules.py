@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Scene, SceneObject
+from dualbrain.skills.carrier import Carrier
 from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.floor_path import clearance
 from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
@@ -26,8 +28,15 @@ FINGER_ROOM = 0.010
 Rule = Callable[[Contract], Rejected | None]
 
 
-def scene_rules(scene: Scene, limb: Limb | Chassis) -> tuple[Rule, ...]:
+def scene_rules(scene: Scene, limb: Limb | Chassis | Carrier) -> tuple[Rule, ...]:
     """The rules that hold for `scene` and the body as it stands: hand busy or empty, opening, reach; the floor."""
+    if isinstance(limb, Carrier):
+        return (
+            _decline_alone,
+            lambda contract: _on_the_map(contract, scene, limb.chassis),
+            lambda contract: _hand_order(contract, limb.arm),
+            lambda contract: _fits_hand(contract, scene, limb),
+        )
     if isinstance(limb, Chassis):
         return (_decline_alone, lambda contract: _on_the_map(contract, scene, limb))
     return (
@@ -120,6 +129,16 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
         if why := _station_fits(limb, thing, params, pointer):
             return why
     return None
+
+
+def _fits_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected | None:
+    """As `_grasps_fit` for what is grasped before the base drives; where it stands later is seen then."""
+    driving = (i for i, action in enumerate(contract.action_sequence) if action.skill in ("drive_to", "drive_to_pose"))
+    before = contract.action_sequence[: next(driving, None)]
+    if not any(action.skill == "grasp" for action in before):
+        return None
+    carrier.work(driving=False)
+    return _grasps_fit(msgspec.structs.replace(contract, action_sequence=before), carrier.arm.senses.scene, carrier.arm)
 
 
 def _station_fits(limb: Limb, thing: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:

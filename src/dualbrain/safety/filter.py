@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.differential_base import pose
+from dualbrain.embodiment.differential_base import drive, pose
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.safety.batch import Batch, run_batch
@@ -248,7 +248,24 @@ class SafetyFilter:
         """Hand over the live barriers' rows at `state`; the state in the chain's own terms."""
         if self._barriers:
             self._refresh(state)
-        return replace(state, q=self._joints(state.q)) if self._mobile else state
+        return replace(state, q=self._chain(state)) if self._mobile else state
+
+    def _chain(self, state: RobotState) -> Array:
+        """The chain's angles (n,) for a step; where the base goes on arcs, it is ahead by its own lag, y = q + lag v.
+
+        In the kernel a base slides straight for one period and turns. It stands turned on by half a period's turn ω
+        dt/2, its turning joint back by as much: everything is where it is, and the slide points along the chord of
+        the arc.
+        """
+        lag = self.body.base_lag
+        if lag is None:
+            return self._joints(state.q)
+        ahead = drive(state.q, state.v, lag if self.config.lag_compensation else 0.0)
+        half = 0.5 * self.body.period * float(state.v[1])
+        ahead[2] += half
+        chain = self._joints(ahead)
+        chain[1], chain[2:] = -half, state.q[3:]
+        return chain
 
     def _joints(self, q: Array) -> Array:
         """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own two joints at zero."""

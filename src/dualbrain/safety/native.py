@@ -66,6 +66,7 @@ def build_for(body: Body, config: FilterConfig) -> Build:
     Raises:
         InvalidSetup: no build has room for it; the message names what is too many.
     """
+    lacking: list[tuple[str, int, int]] = []
     for name in SIZES:
         build = _load(f"_kernel{'64' if config.real == 'float64' else ''}{name}")
         lacking = [(what, got, room) for what, got, room in _sizes(body, build) if got > room]

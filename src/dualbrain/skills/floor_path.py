@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.solids import distance, solid
-from dualbrain.records import Scene
+from dualbrain.records import HalfSpace, Scene
 
 Array = NDArray[np.float64]
 Free = NDArray[np.bool_]
@@ -47,7 +47,7 @@ def clearance(scene: Scene, points: Array) -> Array:
     flat = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
     least = np.full(points.shape[:-1], np.inf)
     for thing in scene.objects:
-        if thing.role not in ("person", "support"):
+        if thing.role != "person" and not isinstance(thing.shape, HalfSpace):
             least = np.minimum(least, distance(*solid(thing.shape, thing.pose), flat) - thing.error)
     for index, (x, y) in enumerate(scene.region):
         along = np.subtract(scene.region[(index + 1) % len(scene.region)], (x, y))

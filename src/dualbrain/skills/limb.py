@@ -17,6 +17,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
 from dualbrain.skills.foresight import LEAVING, Foresight, Goal
+from dualbrain.skills.geometry import top
 from dualbrain.skills.inverse_kinematics import InverseKinematics
 from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
@@ -97,7 +98,7 @@ class Limb:
     @property
     def floor(self) -> float:
         """Height of the support surface [m]."""
-        return self.support.pose.position[2] if self.support else 0.0
+        return top(self.support) if self.support else 0.0
 
     # --- parts of a story ---------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from types import ModuleType
 from dualbrain.contracts.contract import Value
 from dualbrain.contracts.registry import Registry
 from dualbrain.embodiment.body import Body
+from dualbrain.embodiment.mobile_manipulator import arm_of, base_of
 from dualbrain.skills import (
     decline,
     drive_to,
@@ -22,6 +23,7 @@ from dualbrain.skills import (
     stop,
     turn_to,
 )  # fmt: skip
+from dualbrain.skills.carrier import Carrier
 from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Motion, Nominal, Senses, Story
@@ -47,13 +49,19 @@ BASE: Mapping[str, ModuleType] = {
 """The same for a base, whose stories are told with a chassis."""
 
 
+BOTH: Mapping[str, ModuleType] = {**BASE, **ARM}
+"""Those of a mobile manipulator: each is told with the part of the body that it is about."""
+
+
 def skills_of(body: Body) -> Mapping[str, ModuleType]:
     """The skills that suit `body`."""
-    return BASE if body.mobile else ARM
+    return BOTH if body.carries_arm else BASE if body.mobile else ARM
 
 
-def limb_of(body: Body, motion: Motion) -> Limb | Chassis:
+def limb_of(body: Body, motion: Motion) -> Limb | Chassis | Carrier:
     """What the stories of `body` are told with."""
+    if body.carries_arm:
+        return Carrier(body, motion)
     return Chassis(body, motion) if body.mobile else Limb(body, motion)
 
 
@@ -61,7 +69,12 @@ def registry_of(body: Body) -> Registry:
     """The vocabulary P of `body`, bounded by it (paper 3.3)."""
     if not body.mobile:
         return arm_registry(body)
-    return Registry(body.name, tuple(module.spec(body) for module in BASE.values()))
+    driving = tuple(module.spec(base_of(body)) for module in BASE.values())
+    if not body.carries_arm:
+        return Registry(body.name, driving)
+    taken = {spec.name for spec in driving}
+    reaching = tuple(spec for spec in arm_registry(arm_of(body)).skills if spec.name not in taken)
+    return Registry(body.name, (*driving, *reaching))
 
 
 GRIPPING = ("grasp", "place", "release")
@@ -77,15 +90,17 @@ def arm_registry(body: Body) -> Registry:
 class Running:
     """A skill under way: the map φ of paper 4.2."""
 
-    def __init__(self, limb: Limb | Chassis, skill: str, params: Mapping[str, Value]) -> None:
+    def __init__(self, limb: Limb | Chassis | Carrier, skill: str, params: Mapping[str, Value]) -> None:
         """Prepare `skill` with its checked parameters; nothing moves before the first `nominal`."""
         self.limb = limb
-        self._story: Story = skills_of(limb.body)[skill].story(limb, **params)
+        teller = limb.work(skill in BASE) if isinstance(limb, Carrier) else limb
+        self._story: Story = skills_of(limb.body)[skill].story(teller, **params)
 
     def nominal(self, senses: Senses) -> Nominal | Ending:
         """The next tick's intent, or how the skill ended."""
         self.limb.sense(senses)
         try:
-            return next(self._story)
+            nominal = next(self._story)
+            return self.limb.whole(nominal) if isinstance(self.limb, Carrier) else nominal
         except StopIteration as over:
             return over.value

@@ -39,4 +39,4 @@ class Arrival:
 
     def _away(self) -> float:
         spot = np.array(self._plant.spec.place(self.goal.place).position[:2])
-        return float(np.linalg.norm(self._plant.tool_pose()[0][:2] - spot))
+        return float(np.linalg.norm(self._plant.ground() - spot))

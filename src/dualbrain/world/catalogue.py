@@ -9,6 +9,7 @@ from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.rooms import ROOMS, make_room
 from dualbrain.world.scene_spec import SceneSpec, load_scene
 from dualbrain.world.scenes import ALL_FAMILIES, make_scene
+from dualbrain.world.workroom import WORKROOMS, make_workroom
 
 HAZARDS = ("forearm", "tabletop", "tall", "shelf")
 """Scene N is of family N mod 4, with seed N: any run of four numbers shows every hazard once."""
@@ -21,8 +22,7 @@ def open_scene(choice: str, robot: str = "panda") -> SceneSpec:
 
     Raises `UnknownName`, or `InvalidSetup` where a file is no scene or one of another robot.
     """
-    families = tuple(ROOMS if mobile(robot) else ALL_FAMILIES)
-    hazards = ROOM_HAZARDS if mobile(robot) else HAZARDS
+    families, hazards = _families(robot)
     if choice.isdecimal():
         return _make(hazards[int(choice) % len(hazards)], int(choice), robot)
     family, _, seed = choice.partition(":")
@@ -43,7 +43,17 @@ def mobile(robot: str) -> bool:
     return load_body(robot).mobile
 
 
+def _families(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Every family that has scenes for `robot`, and those that a bare number goes round."""
+    body = load_body(robot)
+    if body.carries_arm:
+        return (*WORKROOMS, *ROOMS), WORKROOMS
+    return (tuple(ROOMS), ROOM_HAZARDS) if body.mobile else (tuple(ALL_FAMILIES), HAZARDS)
+
+
 def _make(family: str, seed: int, robot: str) -> SceneSpec:
+    if family in WORKROOMS:
+        return make_workroom(family, seed, robot)
     return (make_room if mobile(robot) else make_scene)(family, seed, robot)
 
 

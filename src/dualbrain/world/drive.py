@@ -93,6 +93,7 @@ class ComputedTorque:
         self._expected = np.zeros(len(self._v))
         self.load = np.zeros(len(self._v))
         """What the integral bears now, (n,) [Nm]."""
+        self._ride: Array | None = None
 
     def act(self, u: Array) -> None:
         """Torques of this period; the motors clip them."""
@@ -101,6 +102,8 @@ class ComputedTorque:
         load += self._inertial(self._per_period * (self._expected - v))
         np.clip(load, -self._bound, self._bound, out=load)
         self._ctrl[:] = self._inertial(self.gain * (u - v)) + (self._bias - self._passive + load)
+        if self._ride is not None:
+            self._ctrl[:] += self._ride
         self._saturated = np.abs(self._ctrl) >= self._limit
         self._expected += self._share * (u - self._expected)
 
@@ -108,6 +111,13 @@ class ComputedTorque:
         """No torque, no load; the joints are expected to go on as they do."""
         self._ctrl[:], self.load[:] = 0.0, 0.0
         self._expected[:], self._saturated[:] = self._v, False
+
+    def carried(self, dofs: slice, acceleration: Array) -> None:
+        """What bears the arm accelerates its own `dofs` like this in this period; the joints hold against it."""
+        self._all[:], self._all[dofs] = 0.0, acceleration
+        mujoco.mj_mulM(self._model, self._data, self._force, self._all)
+        self._all[:] = 0.0
+        self._ride = self._force[self._joints].copy()
 
     def _inertial(self, acceleration: Array) -> Array:
         """M times a joint acceleration (n,), as a view that the next call overwrites."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body, Tracking
+from dualbrain.embodiment.mobile_manipulator import BASE_GROUP
 from dualbrain.records import HalfSpace, Pose
 from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
 
@@ -24,7 +25,10 @@ ASSUMED_LAG, ASSUMED_ERROR = 0.002, 0.006
 
 
 class Drivable(Protocol):
-    """What can be identified: `sense()` refreshes `q` and `v` (n,), `act(u)` drives for one control period."""
+    """What can be identified: `sense()` refreshes `q` and `v` (n,), `act(u)` drives for one control period.
+
+    What drives has q (n + 1,), and beside it a `path` (n,): how far each control has moved it.
+    """
 
     q: Array
     v: Array
@@ -39,7 +43,7 @@ class Drivable(Protocol):
 
 
 class Log(msgspec.Struct, frozen=True, eq=False):
-    """Joint positions and velocities before each control period and the control sent in it, each (t, n)."""
+    """Joint positions (or paths) and velocities before each control period and the control sent in it, each (t, n)."""
 
     q: Array
     v: Array
@@ -50,13 +54,14 @@ def excite(plant: Drivable, body: Body, kind: str, steps: int, rng: np.random.Ge
     """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
     assumed = Tracking(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known")
     safety = SafetyFilter(msgspec.structs.replace(body, tracking=assumed), FilterConfig())
-    safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)))], 0.0)
+    parts = tuple(sorted({link.group for link in body.links} - {BASE_GROUP})) if body.mobile else ()
+    safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)), parts=parts)], 0.0)
     wish = _WISHES[kind](body, rng)
     q, v, u = (np.empty((steps, body.n)) for _ in range(3))
     for t in range(steps):
         plant.sense()
-        q[t], v[t] = plant.q, plant.v
-        u[t] = safety(q[t], v[t], wish(t, safety)).u
+        q[t], v[t] = getattr(plant, "path", plant.q), plant.v
+        u[t] = safety(plant.q, v[t], wish(t, safety)).u
         plant.act(u[t])
     return Log(q, v, u)
 

@@ -4,7 +4,8 @@ Nothing is downloaded. Whatever the source, the result of an arm of n joints obe
 `link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
 finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
 every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of
-its name, and the site `tcp`.
+its name, and the site `tcp`. A mobile manipulator is an arm whose `link0` is bolted to a body `platform` with those
+joints.
 """
 
 # MuJoCo ships no type stubs:
@@ -19,14 +20,26 @@ from pathlib import Path
 import mujoco
 
 from dualbrain.embodiment.body import Body, load_body
+from dualbrain.embodiment.mobile_manipulator import BASE_JOINTS as DRIVEN
+from dualbrain.embodiment.mobile_panda import MOUNT
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.records import Vector
 from dualbrain.world.menagerie import adapt, menagerie_file
 from dualbrain.world.visual_meshes import add_visuals, mesh_folder
 
-MODELS = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base"}
+MODELS = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "carrier"}
 """File of every robot's built-in model; joint limits are the body's own."""
+CARRIED = {"mobile_panda": ("panda", MOUNT)}
+"""The arm that a carrier's model gets, and where [m]."""
+PLATFORM = "platform"
+"""The body of a mobile manipulator that stands on the floor."""
 
 BASE_JOINTS = ("x", "y", "yaw")
+
+
+def arm_joints(body: Body) -> int:
+    """How many joints the arm of `body` has."""
+    return body.n - DRIVEN if body.mobile else body.n
 
 
 def required(n: int) -> dict[str, tuple[str, ...]]:
@@ -44,12 +57,19 @@ def required(n: int) -> dict[str, tuple[str, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class RobotModel:
-    """A robot ready to be attached to a scene: its editable `spec`, `source` in words, and whether it has a look."""
+    """A robot ready to be attached to a scene: its editable `spec`, `source` in words, whether it has a look."""
 
     name: str
     spec: mujoco.MjSpec
     source: str
     has_visuals: bool
+    rider: RobotModel | None = None
+    at: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def root(self) -> mujoco.MjsBody:
+        """The body that stands in the world; a `rider`, if any, is bolted to it at `at` [m]."""
+        return self.spec.body(PLATFORM if self.rider else "link0")
 
 
 def robot_model(
@@ -64,6 +84,8 @@ def robot_model(
     """
     if name not in MODELS:
         raise UnknownName("robot model", name, tuple(MODELS))
+    if path is None and name in CARRIED:
+        return _carried(name, menagerie=menagerie, visuals=visuals)
     if path is not None:
         spec, source, dressed = _user(path), f"file {path.name}", True
     elif name == "panda" and (found := menagerie_file(menagerie)) is not None:
@@ -77,6 +99,15 @@ def robot_model(
         add_visuals(spec, folder)
         dressed, source = True, f"{source}, look from example-robot-data"
     return RobotModel(name, spec, source, visuals and dressed)
+
+
+def _carried(name: str, *, menagerie: Path | None, visuals: bool) -> RobotModel:
+    """A carrier and the arm that rides on it."""
+    rider, at = CARRIED[name]
+    arm, spec = robot_model(rider, menagerie=menagerie, visuals=visuals), _built_in(name)
+    source = f"built-in carrier; arm: {arm.source}"
+    _check(spec, source, {"body": (PLATFORM,), "joint": BASE_JOINTS, "actuator": BASE_JOINTS})
+    return RobotModel(name, spec, source, arm.has_visuals, arm, at)
 
 
 def strip_visuals(spec: mujoco.MjSpec) -> None:
@@ -101,7 +132,7 @@ def _user(path: Path) -> mujoco.MjSpec:
 
 def _fit(spec: mujoco.MjSpec, source: str, body: Body) -> None:
     """Check that every part is there, and give the joints the body's own ranges."""
-    _check(spec, source, required(0 if body.mobile else body.n))
+    _check(spec, source, required(arm_joints(body)))
     for index, joint in enumerate(() if body.mobile else body.joints, start=1):
         spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
 

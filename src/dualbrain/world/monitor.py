@@ -20,6 +20,7 @@ import numpy as np
 from dualbrain.records import Violation
 from dualbrain.world.contact_rules import ENVIRONMENT, HELD, HUMAN, SELF, Allowance, ContactRules
 from dualbrain.world.handling import Handling
+from dualbrain.world.model_provider import arm_joints
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PERIOD, PREFIX
 from dualbrain.world.thing_watch import ThingWatch
@@ -69,17 +70,19 @@ class Monitor:
         self._bounds = np.r_[self._half + JOINT_TOLERANCE, SPEED_TOLERANCE * np.array(fastest)]
         self._state = np.zeros(2 * self._n)
         self._tool_speed = plant.body.tool_speed.value
-        self._tool = int(plant.model.site(f"{PREFIX}tcp").id)
         q, v = plant.arm_slices
-        self._q, self._v = plant.data.qpos[q], plant.data.qvel[v]  # views: they follow the simulation
+        count = arm_joints(plant.body)
+        self._q, self._v = plant.data.qpos[q][:count], plant.data.qvel[v]  # views: they follow the simulation
         self._names = tuple(f"joint{index + 1}" for index in range(self._n))
+        self._at = slice(self._n - count, self._n)
+        """Which of the body's joints have a position; a base may be anywhere."""
         if plant.body.mobile:
-            self._q, self._names = np.zeros(self._n), tuple(joint.name for joint in plant.body.joints)
+            self._names = tuple(joint.name for joint in plant.body.joints)
         self._stride = np.array([plant.model.ngeom, 1])
         self._open: dict[tuple[str, tuple[str, ...]], _Breach] = {}
         self._closed: list[_Breach] = []
         self._perceived: frozenset[str] | None = None
-        self._ticks, self._wrench, self._motion = 0, np.zeros(6), np.zeros(6)
+        self._ticks, self._wrench = 0, np.zeros(6)
         self.allow()
 
     def allow(
@@ -153,7 +156,8 @@ class Monitor:
 
     def _joints(self, now: float) -> None:
         state, n = self._state, self._n
-        np.subtract(self._q, self._middle, out=state[:n])
+        state[:n] = 0.0
+        np.subtract(self._q, self._middle[self._at], out=state[self._at])
         state[n:] = self._plant.speed() if self._plant.body.mobile else self._v
         np.abs(state, out=state)
         over = state > self._bounds
@@ -166,9 +170,7 @@ class Monitor:
                 self._breach("joint_velocity", (self._names[index - n],), float(state[index]), now)
 
     def _slow(self, now: float) -> None:
-        motion = self._motion
-        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self._tool, motion, 0)
-        speed = math.hypot(*motion[3:].tolist())
+        speed = self._plant.tool_speed()
         if speed > self._tool_speed * SPEED_TOLERANCE:
             self._breach("tcp_speed", ("tcp",), speed, now)
         for kind, name, peak in self._things.look(self._rules):

@@ -1,13 +1,15 @@
-"""The plant that suits a body: an arm on its table, or a base in its room."""
+"""The plant that suits a body: an arm on its table, a base in its room, or an arm on a base."""
 
 from __future__ import annotations
 
 from dualbrain.embodiment.body import Body
 from dualbrain.world.base_plant import BasePlant
+from dualbrain.world.carrier_plant import CarrierPlant
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
 
 
 def open_plant(spec: SceneSpec, body: Body, *, visuals: bool = False) -> Plant:
     """The world `spec` with `body` in it; `visuals` as for `Plant`."""
-    return (BasePlant if body.mobile else Plant)(spec, body, visuals=visuals)
+    kind = CarrierPlant if body.carries_arm else BasePlant if body.mobile else Plant
+    return kind(spec, body, visuals=visuals)

@@ -3,7 +3,7 @@
 Position error e ∈ R³ of each thing follows e' = ρ e + sqrt(1 − ρ²) w with w ~ N(0, σ² I) and ρ = exp(−Δt/T): a
 calibration error that drifts slowly (T seconds) instead of jumping at each look. It is redrawn until ‖e'‖ ≤ 3σ, so 3σ
 bounds the *norm*, always; that bound is handed on in `SceneObject.error`. A person's velocity error is uniform in a
-ball of the declared radius. Exact by declaration: sizes, orientations, identities, the table plane, the places.
+ball of the declared radius. Exact by declaration: sizes, orientations, identities, what things stand on, the places.
 Things on the table are taken to be at rest (velocity zero): only a person's velocity is estimated.
 """
 
@@ -96,8 +96,12 @@ class Perception:
         self._captures.append((now, tuple(self._seen[name] for name in plant.names if name in self._seen)))
 
     def _thing(self, plant: Plant, thing: Thing, error: NDArray[np.float64]) -> SceneObject:
+        if thing.role == "support":
+            error, bound = np.zeros(3), 0.0
+        else:
+            bound = self.noise.bound
         return SceneObject(
-            thing.name, thing.role, thing.shape, _shift(plant.truth(thing.name), error), error=self.noise.bound,
+            thing.name, thing.role, thing.shape, _shift(plant.truth(thing.name), error), error=bound,
             category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
         )  # fmt: skip
 

@@ -21,7 +21,7 @@ from dualbrain.embodiment.robot import Array, Command, RobotState
 from dualbrain.errors import UnknownName
 from dualbrain.records import Pose
 from dualbrain.world.drive import ARM_GROUP, DriveKind, make_drive, motors_of
-from dualbrain.world.model_provider import robot_model
+from dualbrain.world.model_provider import arm_joints, robot_model
 from dualbrain.world.mover import DAMPING, STIFFNESS, path_of
 from dualbrain.world.scene_builder import LOAD, PERIOD, PREFIX, build_model
 from dualbrain.world.scene_spec import SceneSpec
@@ -132,7 +132,7 @@ class Plant:
         """Motors, fingers and forearm get their set points, then time passes by one step; after `sense`."""
         data = self.data
         if self._enabled:
-            self.drive.act(self._u)
+            self._drive()
         opening = self._opening()
         step = self._wanted - self._finger
         limit = FINGER_SPEED * PERIOD
@@ -185,6 +185,12 @@ class Plant:
         site = self.data.site(f"{PREFIX}tcp")
         return site.xpos.copy(), site.xmat.reshape(3, 3).copy()
 
+    def tool_speed(self) -> float:
+        """True speed of the tool against what the arm is bolted to [m/s]."""
+        motion, tool = np.zeros(6), int(self.model.site(f"{PREFIX}tcp").id)
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, tool, motion, 0)
+        return float(np.linalg.norm(motion[3:]))
+
     def link_poses(self) -> dict[str, Pose]:
         """True pose of every link of the robot by the body's names, for pictures."""
         parts = {link.name: self.data.body(f"{PREFIX}{link.name}") for link in self.body.links}
@@ -203,10 +209,18 @@ class Plant:
             self._take_up(self._load)
         self._forget()
 
+    def ground(self) -> Array:
+        """Where the robot stands on the floor (2,) [m]: under its tool, where it has no base of its own."""
+        return self.tool_pose()[0][:2]
+
     # --- inside -------------------------------------------------------------------------------------------------
 
+    def _drive(self) -> None:
+        """Hand the commanded velocities to the motors."""
+        self.drive.act(self._u)
+
     def _index(self) -> None:
-        model, n = self.model, self.body.n
+        model, n = self.model, arm_joints(self.body)
         arm = [model.joint(f"{PREFIX}joint{index + 1}") for index in range(n)]
         fingers = [model.joint(f"{PREFIX}finger_joint{index}") for index in (1, 2)]
         self._arm = slice(int(arm[0].qposadr[0]), int(arm[-1].qposadr[0]) + 1)

@@ -53,7 +53,10 @@ def build_model(spec: SceneSpec, robot: RobotModel, *, load: float = 0.0) -> muj
     if spec.mover is not None:
         add_mover(root, spec.mover)
     frame = root.worldbody.add_frame()
-    frame.attach_body(robot.spec.body("link0"), PREFIX, "")
+    standing = frame.attach_body(robot.root, PREFIX, "")
+    if robot.rider is not None:
+        mount = standing.add_frame(pos=list(robot.at))
+        mount.attach_body(robot.rider.root, PREFIX, "")
     if load > 0.0:
         _add_load(root, load)
     return root.compile()

@@ -115,7 +115,8 @@ def check_scene(spec: SceneSpec) -> None:
     """Refuse what cannot be simulated: another schema, repeated names, sizes or masses that are not positive."""
     if spec.schema_version != SCHEMA_VERSION:
         raise InvalidSetup("scene schema_version", got=spec.schema_version, allowed=str(SCHEMA_VERSION))
-    names = [*(thing.name for thing in spec.things), *(place.name for place in spec.places), "table", "floor"]
+    built_in = ("floor",) if spec.region else ("table", "floor")
+    names = [*(thing.name for thing in spec.things), *(place.name for place in spec.places), *built_in]
     names += [spec.mover.name] if spec.mover else []
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -56,7 +56,7 @@ def build_base(
         turn_acceleration=turning, tracking=not_identified(), period=period.value, licence=tree.licence,
     )  # fmt: skip
     spheres = spheres_of({"base": fits["base"].balls})
-    body: Body = msgspec.structs.replace(plain, source=tree.source, spheres=spheres)
+    body: Body = msgspec.structs.replace(plain, source=tree.source, spheres=spheres, base_lag=0.0)
     stand = ", ".join(f"{name} = {value:g}" for name, value in locked.items())
     notes = (
         *tree.notes,

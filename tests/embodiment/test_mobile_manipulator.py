@@ -1,0 +1,158 @@
+"""An arm on a base: one chain whose tool and rows are those of an independent model, and whose rows hold on true
+arcs."""
+
+import msgspec
+import mujoco
+import numpy as np
+import pytest
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.differential_base import drive
+from dualbrain.embodiment.mobile_manipulator import arm_of, base_of, on_base
+from dualbrain.embodiment.mobile_panda import HOUSING, MOUNT, PEDESTAL
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import Pose, Sphere
+from dualbrain.safety import _kernel_wide
+from dualbrain.safety.barriers.keep_out import trial_base
+from dualbrain.safety.barriers.trials import EXACT
+from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.world.carrier_plant import CarrierPlant
+from dualbrain.world.identify_carrier import HALL
+from dualbrain.world.scene_spec import SceneSpec
+
+BODY, PANDA = load_body("mobile_panda"), load_body("panda")
+LOW = np.array([joint.lower.value for joint in BODY.joints[2:]])
+HIGH = np.array([joint.upper.value for joint in BODY.joints[2:]])
+
+
+def configuration(rng):
+    return np.array([*rng.uniform(-3.0, 3.0, 3), *rng.uniform(LOW, HIGH)])
+
+
+def test_it_is_the_arm_and_the_base_together():
+    assert BODY.n == 9
+    assert BODY.width == 10
+    assert BODY.carries_arm
+    assert BODY.alpha == PANDA.alpha
+    assert BODY.joints[3:] == PANDA.joints[1:]
+    assert set(PANDA.self_pairs.kept) < set(BODY.self_pairs.kept)
+    assert ("base", "hand") in BODY.self_pairs.kept
+    assert isinstance(SafetyFilter(BODY)._kernel, _kernel_wide.Kernel)
+    assert not any(link.frame == 0 for link in BODY.links), "what drives is bolted to nothing"
+
+
+def test_its_parts_are_an_arm_and_a_base_again():
+    arm, base = arm_of(BODY), base_of(BODY)
+    assert [link.frame for link in arm.links] == [link.frame for link in PANDA.links]
+    assert arm.spheres == PANDA.spheres
+    assert arm.self_pairs.kept == PANDA.self_pairs.kept
+    assert (base.n, base.width, base.mobile, base.carries_arm) == (2, 3, True, False)
+    with pytest.raises(InvalidSetup, match="mobile manipulator"):
+        on_base("x", BODY, PANDA, MOUNT, home=(), tracking=PANDA.tracking, base_lag=None, count=1,
+                rng=np.random.default_rng(0))  # fmt: skip
+
+
+@pytest.mark.parametrize(("middle", "half"), [HOUSING, PEDESTAL])
+def test_the_balls_hold_housing_and_pedestal(middle, half):
+    rng = np.random.default_rng(0)
+    points = np.array(middle) + np.array(half) * rng.uniform(-1.0, 1.0, (4000, 3))
+    inside = np.zeros(len(points), bool)
+    for ball in base_of(BODY).spheres:
+        inside |= np.linalg.norm(points - ball.centre, axis=1) <= ball.radius
+    assert inside.all()
+
+
+def test_tool_and_jacobian_are_those_of_mujoco():
+    """The plant's model is written apart from the body: its joints are x, y, yaw and the arm's."""
+    plant = CarrierPlant(SceneSpec("mobile_panda", "hall", 0, (), (), None, HALL), BODY)
+    safety, rng = SafetyFilter(BODY, FilterConfig(real="float64")), np.random.default_rng(3)
+    tool = int(plant.model.site("robot/tcp").id)
+    for _ in range(30):
+        q = configuration(rng)
+        plant.place_arm(q)
+        J = np.zeros((6, plant.model.nv))
+        mujoco.mj_jacSite(plant.model, plant.data, J[:3], J[3:], tool)
+        x, y, yaw = (J[:, plant.model.joint(f"robot/{name}").dofadr[0]] for name in ("x", "y", "yaw"))
+        _, arm = plant.arm_slices
+        ours = safety.tool(q)
+        wanted = np.column_stack([x * np.cos(q[2]) + y * np.sin(q[2]), yaw, J[:, arm]])
+        position, rotation = plant.tool_pose()
+        np.testing.assert_allclose(ours.position, position, atol=1e-9)
+        np.testing.assert_allclose(ours.rotation, rotation, atol=1e-9)
+        np.testing.assert_allclose(ours.jacobian, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rows_are_derivatives_of_h_along_the_true_motion(seed):
+    """Every row of every part of the body, by differences along arcs; the base's columns act on all spheres of the
+    arm."""
+    rng = np.random.default_rng(seed)
+    config = msgspec.structs.replace(EXACT, acceleration_limits=False, real="float64")
+    safety, q = SafetyFilter(msgspec.structs.replace(BODY, base_lag=None), config), np.array(BODY.home)
+    q[:3], q[3:] = rng.uniform(-2.0, 2.0, 3), np.clip(q[3:] + rng.uniform(-0.3, 0.3, 7), LOW, HIGH)
+    where, _, _ = safety.spheres(q, 0.0)
+    spots = where[rng.integers(0, len(where), 5)] + rng.uniform(-0.25, 0.25, (5, 3))
+    safety.observe([Obstacle(f"o{k}", Sphere(0.02), Pose(tuple(map(float, at)))) for k, at in enumerate(spots)])
+    safety(q, np.zeros(9), np.zeros(9))
+    u = rng.uniform(-0.5, 0.5, 9)
+    ahead, back = (safety.spheres(drive(q, u, dt), 0.0)[0] for dt in (1e-5, -1e-5))
+    safety.spheres(q, 0.0)
+    rows = [row for row in safety._kernel.rows() if row[0] in (0, 1)]
+    assert len(rows) > 10
+    for kind, i, j, _, norm, _, a in rows:
+        if kind == 0:
+            gap = [np.linalg.norm(one[i] - spots[j]) for one in (ahead, back)]
+        else:
+            gap = [np.linalg.norm(one[i] - one[j]) for one in (ahead, back)]
+        assert norm * np.dot(a, u) == pytest.approx((gap[0] - gap[1]) / 2e-5, abs=2e-5)
+    moved = [np.abs(a[:2]).max() for kind, *_, a in rows if kind == 0]
+    assert max(moved) > 0.1
+
+
+def least_after_one_step(base_lag, gap=2.5e-4, radius=0.05):
+    """Least gap one period later, over bases at speed that pass a post at `gap` [m]; no answer relaxed."""
+    body, rng, least, count = msgspec.structs.replace(trial_base(), base_lag=base_lag), np.random.default_rng(1), 1.0, 0
+    fast = np.array([joint.velocity.value for joint in body.joints])
+    for _ in range(600):
+        v, disc = rng.uniform(0.5, 1.0, 2) * fast * rng.choice([-1.0, 1.0], 2), body.spheres[rng.integers(4)]
+        way = v[0] * np.array([1.0, 0.0]) + v[1] * np.array([-disc.centre[1], disc.centre[0]])
+        out = rng.choice([-1.0, 1.0]) * np.array([-way[1], way[0]]) / np.linalg.norm(way)
+        post = np.array(disc.centre[:2]) + (disc.radius + radius + gap) * out
+        if nearest(body, np.zeros(3), post) - radius < gap - 1e-9:
+            continue
+        safety = SafetyFilter(body, EXACT)
+        safety.observe([Obstacle("post", Sphere(radius), Pose((*map(float, post), 0.0)))])
+        safety.reset(v)
+        answer = safety(np.zeros(3), v, v)
+        if answer.status <= 1:
+            count += 1
+            least = min(least, nearest(body, drive(np.zeros(3), answer.u, body.period), post) - radius)
+    assert count > 50
+    return least
+
+
+def nearest(body, q, post):
+    """Distance of the footprint's discs from a point."""
+    c, s = np.cos(q[2]), np.sin(q[2])
+    discs = np.array([ball.centre[:2] for ball in body.spheres]) @ np.array([[c, s], [-s, c]]) + q[:2]
+    return float(np.min(np.linalg.norm(discs - post, axis=1) - [ball.radius for ball in body.spheres]))
+
+
+def test_a_base_that_is_taken_along_its_arcs_keeps_its_distance():
+    """A straight step leaves out the sagitta of a period, v ω dt²/2; the sampling margin is for other things."""
+    along, straight = least_after_one_step(0.0), least_after_one_step(None)
+    assert straight < along - 8e-5
+    assert along >= 2.0e-4
+
+
+def test_what_lags_is_ahead_along_its_arc():
+    """With a lag of its own the base stands where its last command takes it; the arm stays where it is."""
+    body = msgspec.structs.replace(BODY, base_lag=0.05)
+    safety, late = SafetyFilter(body), SafetyFilter(msgspec.structs.replace(body, base_lag=0.0))
+    q, v = np.array(BODY.home), np.array([0.4, 0.8, *np.zeros(7)])
+    thing = [Obstacle("post", Sphere(0.05), Pose((0.9, 0.0, 0.2)))]
+    for one in (safety, late):
+        one.observe(thing)
+        one.reset(v)
+    ahead = drive(q, v, 0.05)
+    assert safety(q, v, v).h_min == pytest.approx(late(ahead, v, v).h_min, abs=1e-6)

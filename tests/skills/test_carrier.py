@@ -1,0 +1,145 @@
+"""A mobile manipulator in physics: the base's skills and the arm's, with the filter over the whole body."""
+
+import numpy as np
+import pytest
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.differential_base import driven_by
+from dualbrain.embodiment.robot import Command
+from dualbrain.records import UPRIGHT
+from dualbrain.runtime.desk import as_specified, limb_at_home
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.carrier import Frame
+from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import Noise, Perception
+
+BODY = load_body("mobile_panda")
+GRASP = ("grasp", {"object": "red_cube", "force": 20.0, "speed": 0.2, "clearance": 0.1, "finger_axis": "along",
+                   "opening": 0.08, "approach": "top", "wait": "none"})  # fmt: skip
+PLACE = ("place", {"destination": "blue_bowl", "speed": 0.2, "clearance": 0.12, "route": "direct", "wait": "none"})
+
+
+def drive_to(place):
+    return ("drive_to", {"place": place, "max_speed": 0.4, "max_turn_rate": 0.8})
+
+
+def contract(*actions):
+    return Contract("c-1", Context(BODY.name, ""), tuple(Action(skill, params) for skill, params in actions))
+
+
+class Shop:
+    """A workroom with the robot in it, standing at `at` before its things are looked at."""
+
+    def __init__(self, scene="workroom:0", at=None):
+        self.spec = open_scene(scene, BODY.name)
+        self.plant = open_plant(self.spec, BODY)
+        if at is not None:
+            self.plant.place_arm(np.array([*at, *BODY.home[3:]]))
+        self.trace = Trace(BODY.n, BODY.width)
+        self.world = SimulatedWorld(self.plant, Perception(self.spec, Noise(), np.random.default_rng(0)))
+        self.layer = LocalLayer(
+            BODY, self.plant, self.world, SafetyFilter(BODY), FlightLog(self.trace), LayerConfig(settle=0.1),
+            phase_changed=self.world.allow,
+        )  # fmt: skip
+
+    def run(self, *actions):
+        self.world.begin(contract(*actions))
+        return self.layer.run(contract(*actions))
+
+
+def test_it_offers_what_a_base_and_an_arm_can_do():
+    names = [skill.name for skill in registry_of(BODY).skills]
+    assert len(set(names)) == len(names)
+    assert {"drive_to", "turn_to", "stop", "grasp", "place", "push", "home", "decline"} <= set(names)
+    panda = registry_of(load_body("panda")).by_name
+    assert registry_of(BODY).by_name["grasp"] == panda["grasp"], "the arm is the same arm, bolted or not"
+
+
+def test_it_drives_to_the_shelf_with_its_arm_drawn_in():
+    spot = open_scene("workroom:0", BODY.name).place("shelf").position
+    shop = Shop(at=(spot[0] - 0.5, spot[1] + 0.1, 0.0))
+    assert shop.run(drive_to("shelf")).kind == "succeeded"
+    done = shop.world.judgement()
+    assert done.success
+    assert done.violations == ()
+    arm = shop.plant.read().q[3:]
+    assert np.abs(arm - BODY.home[3:]).max() < 5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_it_goes_to_the_table_and_puts_the_cube_in_the_bowl(seed):
+    shop = Shop(f"workroom:{seed}")
+    side = np.sign(shop.spec.place("bench").position[1])
+    turn = ("turn_to", {"heading": float(side * 1.5708), "max_turn_rate": 0.8})
+    out = shop.run(drive_to("bench"), turn, GRASP, PLACE)
+    assert out.kind == "succeeded", out.reason
+    done = shop.world.judgement()
+    assert done.success
+    assert done.violations == ()
+
+
+def test_the_gate_asks_for_reach_only_where_the_robot_stands():
+    """From the door the cube is out of reach; after a drive nobody knows yet."""
+    scene = as_specified(open_scene("workroom:0", BODY.name))
+    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    at_once, later = contract(GRASP, PLACE), contract(drive_to("bench"), GRASP, PLACE)
+    refused = [answer for rule in rules if (answer := rule(at_once)) is not None]
+    assert "reach" in refused[0].hint
+    assert all(rule(later) is None for rule in rules)
+    assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a full hand"
+
+
+def test_the_arm_sees_its_work_from_where_it_stands():
+    """Its frame lies under its first axis on what things stand on; a thing's own turn goes along."""
+    scene = as_specified(open_scene("workroom:0", BODY.name))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    seen = Frame(turn, np.array([2.0, 1.0, 0.5])).scene(scene)
+    cube, there = scene.find("red_cube"), seen.find("red_cube")
+    x, y, z = cube.pose.position
+    np.testing.assert_allclose(there.pose.position, (y - 1.0, -(x - 2.0), z - 0.5), atol=1e-12)
+    assert there.pose.quaternion != cube.pose.quaternion
+    assert Frame(np.eye(3), np.zeros(3)).scene(scene).find("table").pose.quaternion == pytest.approx(UPRIGHT)
+    assert seen.region == ()
+
+
+def test_without_its_drives_it_is_held():
+    plant = open_plant(open_scene("workroom:0", BODY.name), BODY)
+    for _ in range(150):
+        plant.write(Command(np.array([0.3, 0.4, 0.3, *np.zeros(6)]), 0.04, 5.0))
+        plant.advance()
+    assert plant.read().v[0] > 0.2
+    plant.stop()
+    for _ in range(300):
+        plant.advance()
+    assert np.abs(plant.read().v).max() < 2e-3
+    assert not plant.read().drive_enabled
+    plant.enable()
+    assert plant.read().drive_enabled
+
+
+def test_the_stated_tracking_model_bounds_what_the_plant_does():
+    """|∫ exp(−α (t − s)) (ẏ − u) ds| ≤ e for arm and base, each with its own lag, at full acceleration."""
+    plant, rng = open_plant(open_scene("empty_room:0", BODY.name), BODY), np.random.default_rng(0)
+    plant.place_arm(np.array([2.0, 0.0, 0.5, *BODY.home[3:]]))
+    v_max, a_max = (np.array([getattr(j, side).value for j in BODY.joints]) for side in ("velocity", "acceleration"))
+    lag = BODY.tracking.lag + np.array([BODY.base_lag] * 2 + [0.0] * 7)
+    keep, gap, u, before = np.exp(-BODY.tracking.rate * BODY.period), np.zeros(9), np.zeros(9), plant.read()
+    for step in range(1500):
+        if step % 150 == 0:
+            wanted = rng.uniform(-1.0, 1.0, 9) * v_max * 0.4
+        u = u + np.clip(wanted - u, -a_max * BODY.period, a_max * BODY.period)
+        plant.write(Command(u, 0.04, 5.0))
+        plant.advance()
+        after = plant.read()
+        gap = keep * gap + driven_by(before.q, after.q) + lag * (after.v - before.v) - u * BODY.period
+        before = after
+        assert np.abs(gap).max() <= BODY.tracking.position_error
