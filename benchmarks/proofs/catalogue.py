@@ -7,6 +7,7 @@ from proofs.adversary import Adversary
 from proofs.bare import Bare
 from proofs.conservatism import Conservatism
 from proofs.cortex import Cortex
+from proofs.family_sweep import FamilySweep
 from proofs.faults import Faults
 from proofs.fuzz_socket import FuzzSocket
 from proofs.kernel import Kernel
@@ -26,8 +27,8 @@ from proofs.zoo import Zoo
 PROOFS: dict[str, Proof] = {
     proof.name: proof
     for proof in (
-        Picks(), Bare(), Sweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(), PlantAdversary(),
-        Robots(), Zoo(), Kills(), Poisoning(), Learning(),
+        Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
+        PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
         Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(),
     )
 }  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import mean, median
@@ -167,12 +167,12 @@ def _spread(values: list[float], form: str) -> str:
     return f"{middle} ({low}–{high}, n={len(values)})"
 
 
-def verdicts(rows: Iterable[Row]) -> list[Learnable]:
-    """One verdict a family and speed, families in order."""
+def verdicts(rows: Iterable[Row], order: Sequence[str] = FAMILIES) -> list[Learnable]:
+    """One verdict a family and speed, families in `order`."""
     rows = list(rows)
     found: list[Learnable] = []
     tables, again = families(rows), repeats(rows)
-    for family, speed in sorted(tables, key=lambda key: (FAMILIES.index(key[0]), key[1])):
+    for family, speed in sorted(tables, key=lambda key: (order.index(key[0]), key[1])):
         scores = tables[family, speed]
         values = [value for line in scores.values() for value in line.values()]
         good = sum(value < FAILED for value in values)

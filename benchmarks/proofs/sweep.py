@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -60,23 +61,7 @@ class Sweep:
 
     def report(self, rows: list[Row]) -> list[str]:
         """Success by family and speed, the four parts of the bar, every violation that must not be."""
-        lines = table(
-            ("family", "speed", "seeds", "contracts", "succeeded", "worst/best Δ", "Spearman, other noise",
-             "Spearman, other scene", "regret of the best fixed", "decline scenes", "bar"),
-            (
-                (v.family, v.speed, v.seeds, v.contracts, share(v.successes, v.episodes), v.ratio_words, v.rank_words,
-                 v.across_words, v.regret_words, v.decline_words, v.words)
-                for v in verdicts(rows)
-            ),
-        )  # fmt: skip
-        lines += [f"Violations in {len(rows)} episodes: {dict(kinds(rows)) or 'none'}.", ""]
-        lines += confusion_lines(rows)
-        hurt = [row for row in rows if row.get("violations")]
-        return lines + (
-            table(("episode", "outcome", "violations"), ((r["key"], r["outcome"], violation_words(r)) for r in hurt))
-            if hurt
-            else []
-        )
+        return learnable_lines(rows, FAMILIES)
 
     @staticmethod
     def _unit(family: str, seed: int, speed: float, values: dict[str, Any], *, again: bool) -> Unit:
@@ -90,3 +75,21 @@ def grid(family: str) -> list[dict[str, Any]]:
     """The contracts that are flown in a family, without their speed."""
     levers = {**COMMON, **LEVER[family]}
     return [dict(zip(levers, values, strict=True)) for values in product(*levers.values())]
+
+
+def learnable_lines(rows: list[Row], families: Sequence[str]) -> list[str]:
+    """The bar by family and speed, violations, and whether the robot's word is true."""
+    lines = table(
+        ("family", "speed", "seeds", "contracts", "succeeded", "worst/best Δ", "Spearman, other noise",
+         "Spearman, other scene", "regret of the best fixed", "decline scenes", "bar"),
+        (
+            (v.family, v.speed, v.seeds, v.contracts, share(v.successes, v.episodes), v.ratio_words, v.rank_words,
+             v.across_words, v.regret_words, v.decline_words, v.words)
+            for v in verdicts(rows, families)
+        ),
+    )  # fmt: skip
+    lines += [f"Violations in {len(rows)} episodes: {dict(kinds(rows)) or 'none'}.", ""]
+    lines += confusion_lines(rows)
+    hurt = [row for row in rows if row.get("violations")]
+    cells = ((r["key"], r["outcome"], violation_words(r)) for r in hurt)
+    return lines + (table(("episode", "outcome", "violations"), cells) if hurt else [])
