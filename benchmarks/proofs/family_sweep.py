@@ -12,19 +12,20 @@ from proofs.closed_loop import errand, fly, outcome_words, row
 from proofs.proof import Options, Row, Unit
 from proofs.sweep import OTHER_NOISE, learnable_lines
 
-SEEDS = ((0, False), (1, False), (0, True), (2, False), (1, True), (2, True), *((seed, False) for seed in range(3, 6)))
+SEEDS = ((0, False), (0, True), (1, False), (2, False), (1, True), (2, True), *((seed, False) for seed in range(3, 6)))
 """Seeds of scenes, and whether one is flown again with other perception noise."""
 FAMILIES = ("edge_ii", "fragile_ii", "aisles")
 TASK = {"edge_ii": "edge_rescue", "fragile_ii": "fragile_transfer", "aisles": "mobile_navigation"}
 ARM = {"clearance": (0.10, 0.30), "finger_axis": ("along", "across")}
 WAYS = {
-    "edge_ii": (("route", "opening"), (("direct", 0.055), ("near_base", 0.055), ("direct", 0.08))),
-    "fragile_ii": (("route", "force"), (("direct", 10.0), ("near_base", 10.0), ("direct", 20.0))),
+    "edge_ii": (("route", "opening"), (("direct", 0.055), ("near_base", 0.08))),
+    "fragile_ii": (("route", "force"), (("direct", 10.0), ("near_base", 20.0))),
 }
-"""12 contracts an arm's family: clearance and finger axis in full, the route and the family's own lever in turn."""
-DRIVES = {"via": ("direct", "aisle_left", "aisle_right"), "max_turn_rate": (0.5, 1.5), "stops": (0, 5)}
-"""12 contracts of the base: the way, how fast it turns, and how often it stands for a moment before it leaves."""
-SPEED = {"edge_ii": 0.2, "fragile_ii": 0.2, "aisles": 0.4}
+"""8 contracts an arm's family: clearance and finger axis in full, the route and the family's own lever together."""
+DRIVES = {"via": ("direct", "aisle_left", "aisle_right"), "stops": (0, 5)}
+"""6 contracts of the base: the way, and how often it stands for a moment before it leaves."""
+SPEED, TURN_RATE = 0.4, 1.0
+"""[m/s], [rad/s]: a fast contract takes half the time to fly, and more than at 0.2 m/s hangs on the others' values."""
 
 
 class FamilySweep:
@@ -38,12 +39,11 @@ class FamilySweep:
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """Seed by seed, every family in turn."""
+        """Seed by seed, every family in turn; any prefix of whole seeds is an honest sample."""
         del options
         return [
             _unit(family, seed, contract, again=again)
-            for seed, again in SEEDS for contracts in zip(*map(grid, FAMILIES), strict=True)
-            for family, contract in zip(FAMILIES, contracts, strict=True)
+            for seed, again in SEEDS for family in FAMILIES for contract in grid(family)
         ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
@@ -83,13 +83,13 @@ def contract(family: str, values: dict[str, Any]) -> list[dict[str, Any]]:
         grasp["params"]["object"], place["params"]["destination"] = goal.thing, goal.destination
         return [grasp, place]
     vias = [] if values["via"] == "direct" else [values["via"]]
-    common = {"max_speed": values["speed"], "max_turn_rate": values["max_turn_rate"]}
+    common = {"max_speed": values["speed"], "max_turn_rate": TURN_RATE}
     drives = [{"skill": "drive_to", "params": {"place": place, **common}} for place in (*vias, "shelf")]
     return [{"skill": "stop", "params": {}}] * values["stops"] + drives
 
 
 def _unit(family: str, seed: int, values: dict[str, Any], *, again: bool) -> Unit:
-    parameters = {"speed": SPEED[family], **values}
+    parameters = {"speed": SPEED, **values}
     key = " ".join(str(value) for value in parameters.values())
     about = {"family": family, "seed": seed, "parameters": parameters, "again": again}
     return Unit(f"{family}:{seed} {key}" + (" again" if again else ""), about)

@@ -136,12 +136,13 @@ def test_without_a_container_the_way_leads_to_the_only_place():
     assert "path" not in summarise(msgspec.structs.replace(one, places=(coaster, other)))
 
 
-def test_an_aisle_that_somebody_is_in_is_named():
-    rooms = [open_scene(f"aisles:{seed}", "base") for seed in range(0, 12, 3)]
-    for spec in rooms:
+def test_an_aisle_is_free_narrow_or_occupied():
+    for seed in range(6):
+        spec = open_scene(f"aisles:{seed}", "base")
         plant = open_plant(spec, load_body("base"))
         text = summarise(Perception(spec, EXACT, np.random.default_rng(0)).look(plant))
-        side = "left" if spec.mover.start[1] > 0.0 else "right"
-        assert f"person: near, in aisle_{side}" in text
-    crossing = as_specified(open_scene("crossing:1", "base"))
-    assert "aisle" not in summarise(crossing)
+        parcels = "left" if spec.find("brown_parcel_1").position[1] > 0.0 else "right"
+        assert f"aisle_{parcels} narrow" in text
+        other = "right" if parcels == "left" else "left"
+        assert f"aisle_{other} {('occupied', 'free', 'occupied')[seed % 3]}" in text
+    assert "aisle" not in summarise(as_specified(open_scene("crossing:1", "base")))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.linalg import matrix
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Scene, SceneObject, Sphere
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Place, Scene, SceneObject, Sphere
 from dualbrain.skills.geometry import bottom, finger_direction, top, width
 
 Array = NDArray[np.float64]
@@ -48,20 +48,23 @@ def _room(scene: Scene) -> str:
     """A room as a base is told of it: where it can go, what stands about, and people."""
     standing = ", ".join(thing.name for thing in scene.objects if thing.role in ("object", "obstacle", "container"))
     places = ", ".join(place.name for place in scene.places)
-    person = f"person: {_person(scene)}{_occupied(scene)}"
-    return f"robot {scene.robot}\nplaces: {places}\nstanding about: {standing or 'nothing'}\n{person}"
+    lines = [f"robot {scene.robot}", f"places: {places}", f"standing about: {standing or 'nothing'}"]
+    aisles = ", ".join(f"{place.name} {_aisle(scene, place)}" for place in scene.places if _is_aisle(place))
+    return "\n".join([*lines, *([f"aisles: {aisles}"] if aisles else []), f"person: {_person(scene)}"])
 
 
-def _occupied(scene: Scene) -> str:
-    """Which aisles somebody is in; nothing in a room without aisles."""
-    people = [np.asarray(thing.pose.position)[:2] for thing in scene.objects if thing.role == "person"]
-    aisles = [place for place in scene.places if place.name.startswith(AISLE)]
-    taken = [
-        place.name
-        for place in aisles
-        if any(np.linalg.norm(at - np.asarray(place.position)[:2]) < IN_AISLE for at in people)
+def _is_aisle(place: Place) -> bool:
+    return place.name.startswith(AISLE)
+
+
+def _aisle(scene: Scene, place: Place) -> str:
+    """occupied: somebody is in it; narrow: things lie in it that are not part of the room; else free."""
+    middle = np.asarray(place.position)[:2]
+    inside = [
+        thing for thing in scene.objects if np.linalg.norm(np.asarray(thing.pose.position)[:2] - middle) < IN_AISLE
     ]
-    return f", in {', '.join(taken)}" if taken else ""
+    roles = {thing.role for thing in inside}
+    return "occupied" if "person" in roles else "narrow" if "object" in roles else "free"
 
 
 def _object_line(scene: Scene, thing: SceneObject) -> str:

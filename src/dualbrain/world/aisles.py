@@ -1,9 +1,9 @@
-"""Level II of navigation: a long rack leaves two aisles, and somebody is in one of them.
+"""Level II of navigation: a long rack leaves two aisles; parcels make one narrow, somebody may stand in the other.
 
-The shorter way leads through the aisle on the shelf's side. Whoever stands there for long, walks up and down, or comes
-from the far end leaves no room to pass, so that a contract that takes the wrong aisle waits, is driven back, or gives
-up. The person is in the shorter aisle for even seeds, in the other one for odd seeds; what the person does goes round
-with the seed. The aisles have names, so that a contract can choose: drive to the aisle first, then on.
+Parcels are not on the map, so φ does not know them: driving between them costs intervention, which a contract avoids by
+taking the other aisle. Somebody who stays in an aisle lets nobody pass, for a while or for longer than a skill waits.
+What there is goes round with the seed; the aisles have names, so that a contract can choose: drive to the aisle first,
+then on.
 """
 
 from __future__ import annotations
@@ -11,34 +11,50 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.records import Box, Place
-from dualbrain.world.scene_spec import Mover
+from dualbrain.world.scene_spec import Mover, Thing
 
-RACK, RACK_AT = Box((1.0, 0.7, 0.8)), (2.0, 0.0)
+RACK, RACK_AT = Box((1.0, 0.35, 0.8)), (2.0, 0.0)
 """Half extents and middle of the rack [m]."""
-MIDDLE = 1.4
+MIDDLE = 1.3
 """Distance of an aisle's middle from the middle of the room [m]."""
 AISLES = (Place("aisle_left", (RACK_AT[0], MIDDLE, 0.0)), Place("aisle_right", (RACK_AT[0], -MIDDLE, 0.0)))
+GAP, ASIDE = (0.80, 0.84), (0.10, 0.18)
+"""Width of the way between two parcels, and how far it lies off the aisle's middle, to one side and then to the other
+[m]; a circle around the base is 0.61 m wide."""
 
 
-def visitor(rng: np.random.Generator, seed: int, goal_y: float) -> Mover:
-    """The person: stays in an aisle, or crosses before or behind the rack, by `seed`; the shelf stands at `goal_y`."""
+def hazards(rng: np.random.Generator, seed: int, goal_y: float) -> tuple[list[Thing], Mover]:
+    """Parcels and person for `seed`, where the shelf stands at y = `goal_y` [m] and so makes one aisle the shorter.
+
+    In turn: a person stays in the shorter aisle for longer than a skill waits, and the other is narrow; the shorter is
+    narrow and the other free; the shorter is narrow and a person stays in the other for a while.
+    """
     shorter = 1.0 if goal_y > 0.0 else -1.0
-    side = shorter if seed % 2 == 0 else -shorter
-    speed = float(rng.uniform(0.18, 0.28))
-    does = ("stays", "before", "behind")[seed % 3]
-    if does == "stays":
-        x, y, until = float(rng.uniform(1.6, 2.4)), side * MIDDLE, float(rng.uniform(34.0, 60.0))
-        return _person((x, y), (-0.7, 1.35 * y), speed, until, 0.0)
-    x = float(rng.uniform(0.80, 0.95) if does == "before" else rng.uniform(3.45, 3.60))
-    pause = float(rng.uniform(1.0, 3.0))
-    return _person((x, 1.8 * side), (x, -1.8 * side), speed, pause, float(rng.uniform(0.0, 20.0)))
+    narrow = -shorter if seed % 3 == 0 else shorter
+    parcels = _parcels(rng, narrow)
+    middle = (float(rng.uniform(1.6, 2.4)), -narrow * MIDDLE)
+    until = ((38.0, 60.0), (90.0, 120.0), (10.0, 18.0))[seed % 3]
+    start = (-0.7, -1.9 * narrow) if seed % 3 == 1 else middle
+    return parcels, _person(start, (-0.7, 1.9 * narrow), float(rng.uniform(0.35, 0.50)), float(rng.uniform(*until)))
 
 
-def _person(
-    start: tuple[float, float], end: tuple[float, float], speed: float, pause: float, phase: float
-) -> Mover:  # fmt: skip
-    """An upright person who goes from `start` to `end` [m] and back."""
+def _parcels(rng: np.random.Generator, side: float) -> list[Thing]:
+    """Two pairs of parcels in the aisle on `side` (1 left, -1 right), each with a gap, so that the way bends."""
+    found: list[Thing] = []
+    bend = 1.0 if rng.random() < 0.5 else -1.0
+    for colour, x, shift in (("brown", 1.40, bend), ("white", 2.60, -bend)):
+        gap, centre = float(rng.uniform(*GAP)), side * MIDDLE + shift * float(rng.uniform(*ASIDE))
+        for number, way in enumerate((1.0, -1.0), start=1):
+            half = float(rng.uniform(0.12, 0.15))
+            at = (x + float(rng.uniform(-0.05, 0.05)), centre + way * (gap / 2 + half), half)
+            name = f"{colour}_parcel_{number}"
+            found.append(Thing(name, "object", Box((half, half, half)), at, 4.0, colour, "parcel"))
+    return found
+
+
+def _person(start: tuple[float, float], end: tuple[float, float], speed: float, until: float) -> Mover:
+    """An upright person who stands at `start` [m] until time `until` [s], then goes to `end` and back."""
     return Mover(
-        (*start, 0.9), (*end, 0.9), speed, pause, phase, name="person", radius=0.25, half_length=0.62,
+        (*start, 0.9), (*end, 0.9), speed, until, 0.0, name="person", radius=0.25, half_length=0.62,
         axis=(0.0, 0.0, 1.0),
     )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 
 from dualbrain.errors import UnknownName
 from dualbrain.records import Box, Place, Vector
-from dualbrain.world.aisles import AISLES, RACK, RACK_AT, visitor
+from dualbrain.world.aisles import AISLES, RACK, RACK_AT, hazards
 from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
 
 REGION = ((-1.0, -2.4), (5.2, -2.4), (5.2, 2.4), (-1.0, 2.4))
@@ -80,10 +80,11 @@ def _crossing(draft: _Draft) -> None:
 
 
 def _aisles(draft: _Draft) -> None:
-    """A long rack with an aisle on either side, and somebody in one of them."""
+    """A long rack with an aisle on either side, one of them narrow, and somebody about."""
     draft.things.append(_fixed("long_rack", RACK, RACK_AT, "oak", "rack"))
-    draft.mover = visitor(draft.rng, draft.seed, draft.places[0].position[1])
-    draft.places += AISLES
+    parcels, draft.mover = hazards(draft.rng, draft.seed, draft.places[0].position[1])
+    draft.things = [*draft.things[:1], draft.things[-1], *parcels]  # the shelf and the rack; no charger in an aisle
+    draft.places = [draft.places[0], *AISLES]
 
 
 ROOMS: dict[str, Callable[[_Draft], None]] = {
