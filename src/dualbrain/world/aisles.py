@@ -34,8 +34,8 @@ def hazards(rng: np.random.Generator, seed: int, goal_y: float) -> tuple[list[Th
     parcels = _parcels(rng, narrow)
     middle = (float(rng.uniform(1.6, 2.4)), -narrow * MIDDLE)
     until = ((38.0, 60.0), (90.0, 120.0), (10.0, 18.0))[seed % 3]
-    start = (-0.7, -1.9 * narrow) if seed % 3 == 1 else middle
-    return parcels, _person(start, (-0.7, 1.9 * narrow), float(rng.uniform(0.35, 0.50)), float(rng.uniform(*until)))
+    start = (-0.3, -1.95 * narrow) if seed % 3 == 1 else middle
+    return parcels, _person(start, (-0.7, -1.9 * narrow), float(rng.uniform(0.35, 0.50)), float(rng.uniform(*until)))
 
 
 def _parcels(rng: np.random.Generator, side: float) -> list[Thing]:
