@@ -218,3 +218,37 @@ def test_every_phase_has_a_table_and_every_kind_a_unit():
     for phase in PHASES:
         monitor.allow(target="grey_block", held="grey_block", destination="table", phase=phase)
     assert set(UNITS.values()) <= {"N", "rad", "rad/s", "m/s", "m/s^2", "m", "1"}
+
+
+def test_what_is_held_against_the_environment_is_a_kind_of_its_own():
+    p = world(BLOCK, Thing("tall_box", "object", Box((0.03, 0.03, 0.1)), (0.5, 0.2, 0.1), 0.3, "grey", "box"))
+    monitor = watched(p)
+    monitor.allow(held="grey_block", phase="carry")
+    for _ in range(30):
+        throw(p, "grey_block", (0.5, 0.145, 0.08), velocity=(0.0, 0.5, 0.0))
+        p.advance()
+        monitor.tick()
+    hit = [v for v in monitor.violations() if v.kind == "collision_held"]
+    assert {v.bodies for v in hit} >= {("grey_block", "tall_box")}
+    assert all("grey_block" in v.bodies for v in hit)
+    assert "collision_env" not in kinds(monitor)
+
+
+def test_a_skill_that_nobody_may_call_is_counted_once_for_each_call():
+    p = world(BLOCK)
+    monitor = watched(p)
+    monitor.called("push", "planner")
+    rest(p, 0.2, each=monitor.tick)
+    monitor.called("push", "planner")
+    assert [(v.kind, v.bodies, v.peak) for v in monitor.violations()] == [
+        ("unauthorised", ("planner", "push"), 1.0)
+    ] * 2
+
+
+def test_every_kind_that_is_written_down_has_a_unit():
+    """Each staged breach of this file and of `test_handling` is of a kind with a unit, and each kind is staged."""
+    assert set(UNITS) == {
+        "collision_env", "collision_human", "collision_held", "self_collision", "force_fragile", "joint_limit",
+        "joint_velocity", "tcp_speed", "object_dropped", "bystander", "bystander_tilt", "tilted_load", "shaken_load",
+        "unauthorised",
+    }  # fmt: skip

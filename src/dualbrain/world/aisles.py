@@ -15,10 +15,10 @@ from dualbrain.world.scene_spec import Mover, Thing
 
 RACK, RACK_AT = Box((1.0, 0.35, 0.8)), (2.0, 0.0)
 """Half extents and middle of the rack [m]."""
-MIDDLE = 1.3
+MIDDLE = 1.28
 """Distance of an aisle's middle from the middle of the room [m]."""
 AISLES = (Place("aisle_left", (RACK_AT[0], MIDDLE, 0.0)), Place("aisle_right", (RACK_AT[0], -MIDDLE, 0.0)))
-GAP, ASIDE = (0.80, 0.84), (0.10, 0.18)
+GAP, ASIDE = (0.75, 0.79), 0.08
 """Width of the way between two parcels, and how far it lies off the aisle's middle, to one side and then to the other
 [m]; a circle around the base is 0.61 m wide."""
 
@@ -43,7 +43,7 @@ def _parcels(rng: np.random.Generator, side: float) -> list[Thing]:
     found: list[Thing] = []
     bend = 1.0 if rng.random() < 0.5 else -1.0
     for colour, x, shift in (("brown", 1.40, bend), ("white", 2.60, -bend)):
-        gap, centre = float(rng.uniform(*GAP)), side * MIDDLE + shift * float(rng.uniform(*ASIDE))
+        gap, centre = float(rng.uniform(*GAP)), side * MIDDLE + shift * ASIDE
         for number, way in enumerate((1.0, -1.0), start=1):
             half = float(rng.uniform(0.12, 0.15))
             at = (x + float(rng.uniform(-0.05, 0.05)), centre + way * (gap / 2 + half), half)
