@@ -38,6 +38,8 @@ NB_MODULE(DBK_MODULE, m) {
       .def("spheres", &Kernel::spheres)
       .def("rows", &Kernel::rows)
       .def("box", &Kernel::box)
+      .def("inside", &Kernel::inside)
+      .def("stain", &Kernel::stain)
       .def("closed_loop", &Kernel::closed_loop)
       .def("parts",
            [](Kernel &k) {

@@ -56,6 +56,11 @@ struct Kernel {
   void tool(const Array &q, const Out &to);
   int spheres(const Array &q, double opening, const Out &to);
 
+  // inside.cpp: every number that the last step worked with, for tests; around it is seen with `extra` and `known_only`
+  nb::dict inside(double extra, bool known_only) const;
+  // a memory that starts from arbitrary bytes, as a caller's may
+  void stain(int byte);
+
   // loops.cpp: many steps in C
   nb::dict closed_loop(const Out &q, uint64_t seed, int hold, double toward, const Out &q_log, const Out &u_log,
                        const Bytes &status_log);

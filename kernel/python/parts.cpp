@@ -1,5 +1,6 @@
 // Parts of the kernel by themselves, for tests: the QP, distances, sine and cosine.
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <cmath>
 #include <memory>
@@ -57,6 +58,54 @@ nb::tuple solve_qp(const Array &scale, const Array &A, const Array &b, const Arr
   return nb::make_tuple(impossible ? 1 : result, solution.iterations, nb::tuple(active));
 }
 
+// rows as they are, unit ones with the slack's coefficients and no room to spare behind the last vector
+dbk_rows *unit_rows(const Array &A, const Array &b, const Array &soft, size_t n) {
+  static thread_local std::unique_ptr<dbk_rows> rows{new dbk_rows()};
+  const size_t m = b.size();
+  expect(n >= 1 && n <= DBK_MAX_DOF && m <= DBK_MAX_ROWS && A.size() == n * m && soft.size() == m, "row sizes");
+  for (size_t r = 0; r < size_t(DBK_PADDED(m)); ++r) {
+    for (size_t k = 0; k < n; ++k) { rows->a[k][r] = r < m ? static_cast<dbk_real>(A.data()[r * n + k]) : 0; }
+    rows->b[r] = r < m ? static_cast<dbk_real>(b.data()[r]) : static_cast<dbk_real>(-1e9);
+    rows->soft[r] = r < m ? static_cast<dbk_real>(soft.data()[r]) : 0;
+  }
+  rows->count = static_cast<int32_t>(m);
+  return rows.get();
+}
+
+// the QP with a slack where `slack` asks for one, rows tightened by `shift`, from the active set `warm`: result,
+// iterations, slack and the active set with its multipliers
+nb::tuple solve_from(const Array &scale, const nb::tuple &A_b_soft, const Array &lower, const Array &upper,
+                     const Array &u_nom, bool slack, double shift, const std::vector<int32_t> &warm, const Out &u) {
+  const size_t n = u_nom.size();
+  const dbk_rows *rows = unit_rows(nb::cast<Array>(A_b_soft[0]), nb::cast<Array>(A_b_soft[1]),
+                                   nb::cast<Array>(A_b_soft[2]), n);
+  dbk_real s[DBK_MAX_DOF][DBK_MAX_DOF] = {{0}}, lo[DBK_MAX_DOF], hi[DBK_MAX_DOF], un[DBK_MAX_DOF];
+  expect(scale.size() == n * n && u.size() == n, "QP sizes");
+  for (size_t i = 0; i < n * n; ++i) { s[i / n][i % n] = static_cast<dbk_real>(scale.data()[i]); }
+  copy(lower, lo, n, "lower");
+  copy(upper, hi, n, "upper");
+  copy(u_nom, un, n, "u_nom");
+  dbk_solution found;
+  const int32_t result = dbk_qp(rows, int32_t(n), s, lo, hi, un, slack, static_cast<dbk_real>(shift), warm.data(),
+                                int32_t(warm.size()), &found);
+  nb::list active;
+  for (int a = 0; a < found.n_active; ++a) {
+    active.append(nb::make_tuple(found.active[a], double(found.multiplier[a])));
+  }
+  for (size_t k = 0; k < n; ++k) { u.data()[k] = static_cast<double>(found.u[k]); }
+  return nb::make_tuple(result, found.iterations, double(found.slack), nb::tuple(active));
+}
+
+// does a control pass the independent check?
+bool check(const Array &A, const Array &b, const Array &lower, const Array &upper, const Array &u, double tolerance) {
+  const size_t n = u.size();
+  dbk_real lo[DBK_MAX_DOF], hi[DBK_MAX_DOF], at[DBK_MAX_DOF];
+  copy(lower, lo, n, "lower");
+  copy(upper, hi, n, "upper");
+  copy(u, at, n, "u");
+  return dbk_check(unit_rows(A, b, b, n), int32_t(n), lo, hi, at, static_cast<dbk_real>(tolerance)) != 0;
+}
+
 // distances (k,) and normals (k, 3) from points (k, 3) to one obstacle row
 void distance(const Array &obstacle, const Array &points, const Out &d, const Out &normals) {
   expect(obstacle.size() == kObstacle, "one obstacle row");
@@ -83,6 +132,8 @@ nb::tuple sine_cosine(double x) {
 
 void bind_parts(nb::module_ &m) {
   m.def("solve_qp", &solve_qp);
+  m.def("solve_from", &solve_from);
+  m.def("check", &check);
   m.def("distance", &distance);
   m.def("sincos", &sine_cosine);
 }

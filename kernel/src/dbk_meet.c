@@ -42,7 +42,7 @@ DBK_WIDE static summary link_meets(const dbk_ctx *ctx, const dbk_link_scene *nea
   int32_t any[DBK_LANES] = {0};
   w->count = near->count;
   w->kind = DBK_ROW_OBSTACLE;
-  w->sphere = -1;
+  w->sphere = DBK_SEVERAL;
   w->other = m->index;
   w->from = 0;
   w->upto = near->frame;

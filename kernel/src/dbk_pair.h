@@ -8,9 +8,10 @@
 #define DBK_TINY ((dbk_real)1e-6)  /* [m] nearer than this the direction is rounding noise */
 #define DBK_ROUNDED ((dbk_real)1e-5) /* [m/s] more than the rounding of a row's right side */
 #define DBK_BEYOND ((dbk_real)10)  /* [m] farther than any robot here reaches */
+enum { DBK_SEVERAL = -1 };         /* in place of a sphere: the batch is about several */
 
 /* pairs that are weighed together, one array per number: h, normal, right side, and the room that the worst control of the
- * trust box leaves. One side of the pairs is the same for all: the moving sphere, or (`sphere` < 0) the other thing; `index` is
+ * trust box leaves. One side of the pairs is the same for all: the moving sphere, or (DBK_SEVERAL) the other thing; `index` is
  * what varies. Both are named as in dbk_active. */
 typedef struct {
   int32_t count, kind, sphere, other;

@@ -24,7 +24,7 @@ void dbk_remember(dbk_ctx *ctx, int32_t first, int32_t count, int32_t other) {
 
 /* the rows from `first` on are moved by the joints from..upto-1, and belong to one sphere each time or to several */
 static void open_span(dbk_rows *rows, int32_t first, const dbk_batch *w) {
-  const int32_t at = rows->n_spans, several = w->sphere < 0;
+  const int32_t at = rows->n_spans, several = w->sphere == DBK_SEVERAL;
   if (at > 0 && rows->span_from[at - 1] == w->from && rows->span_upto[at - 1] == w->upto &&
       rows->span_several[at - 1] == several) {
     return;
@@ -215,7 +215,7 @@ void dbk_finish_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ct
 void dbk_build_rows(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, dbk_real age, dbk_real extra,
                     int32_t known_only) {
   ctx->rows.count = ctx->rows.overflow = ctx->rows.stuck = ctx->rows.unavoidable = ctx->rows.n_spans = 0;
-  ctx->visits.count = 0;
+  ctx->visits.count = ctx->glances = 0;
   ctx->h_min = DBK_BEYOND;
   if (scene->n_obstacles > 0) {
     dbk_surround around;

@@ -116,7 +116,7 @@ DBK_WIDE static void weigh_sphere(const dbk_model *model, const dbk_ctx *ctx, co
                        (dbk_real)0, (dbk_real)0, (dbk_real)0};
   w->count = p->count;
   w->kind = DBK_ROW_SELF;
-  w->sphere = -1;
+  w->sphere = DBK_SEVERAL;
   w->other = i;
   w->from = p->from;
   w->upto = p->upto;
@@ -143,6 +143,7 @@ DBK_WIDE static void weigh_sphere(const dbk_model *model, const dbk_ctx *ctx, co
 static void meet_sphere(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const link_pair *p,
                         const relative_motion *relative, int32_t i) {
   const glance it = look(model, &ctx->cloud, p, relative, i);
+  ++ctx->glances;
   ctx->h_min = dbk_min(ctx->h_min, it.least + model->sampling);
   if (!(it.least >= model->period * (p->speed + p->beyond) + DBK_CULL_FLOOR)) { dbk_remember(ctx, p->first, p->count, -1 - i); }
   if (it.binds) {

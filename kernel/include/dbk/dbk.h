@@ -193,6 +193,7 @@ typedef struct {
   dbk_motion motion;
   dbk_rows rows;
   dbk_visits visits;
+  int32_t glances; /* spheres that were held against all spheres of another link */
   dbk_solution solution;
   dbk_real lower[DBK_MAX_DOF], upper[DBK_MAX_DOF], h_min;
   dbk_real trust_lower[DBK_MAX_DOF], trust_upper[DBK_MAX_DOF]; /* where rows are looked for; see dbk_trust.c */

@@ -1,0 +1,165 @@
+"""Random bodies and moments as the kernel is told of them: any joints, parts, shapes, permits, things held, bases.
+
+Far more than a robot that exists: link 0 may move, parts may be empty, joints slide, eight joints fill the room there is.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dualbrain.safety import _kernel64
+from dualbrain.safety.result import Filtered, Names, Status
+
+CAPSULE, BOX, HALF_SPACE = range(3)
+KNOWN, STATIC = 1, 2
+ALL = float(2**32 - 1)
+
+
+@dataclass
+class Moment:
+    """All that one step is told; `things` (k, 29) is the obstacle table, `held` (k, 4) lies in the last frame."""
+
+    q: np.ndarray
+    v: np.ndarray
+    u_nom: np.ndarray
+    u_prev: np.ndarray
+    things: np.ndarray
+    opening: float = 0.0
+    age: float = 0.0
+    permits: dict = field(default_factory=dict)  # (link, thing) -> speed [m/s]
+    held: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    held_error: float = 0.0
+    rows: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    base: tuple | None = None
+
+
+def turn(rng):
+    return Rotation.random(random_state=rng).as_matrix()
+
+
+def body(rng, n=7, links=6, *, slides=True, alpha=None):
+    """A model of `n` joints; some slide; the spheres of its links lie side by side, and a link may have none."""
+    frames = np.sort(rng.integers(0, n + 1, links))
+    counts = rng.integers(0, 10 if links < 12 else 6, links)
+    counts[-1] = max(counts[-1], 2)
+    total = int(counts.sum())
+    spheres = np.column_stack([
+        rng.uniform(-0.12, 0.12, (total, 3)), rng.uniform(0.01, 0.06, total),
+        rng.choice([0.0, 1.0], (total, 1)) * rng.uniform(-1.0, 1.0, (total, 3)),
+    ])  # fmt: skip
+    kind = (rng.random(n) < 0.2) * float(slides)
+    pairs = [(a, b) for a in range(links) for b in range(links) if frames[a] < frames[b] - 1 and rng.random() < 0.7][
+        :96
+    ]
+    v_max = rng.uniform(0.5, 2.5, n)
+    a_max = v_max * rng.uniform(2.0, 40.0, n)
+    return {
+        "n": n, "period": float(rng.choice([1e-3, 4e-3])), "alpha": alpha or float(rng.uniform(1.0, 6.0)),
+        "alpha_self": float(rng.uniform(1.0, 6.0)), "alpha_joint": float(rng.uniform(1.0, 6.0)),
+        "recovery": float(rng.uniform(0.01, 0.1)), "sampling": float(rng.uniform(0.0, 5e-4)),
+        "rounding": float(rng.uniform(0.0, 1e-4)), "self_margin": float(rng.uniform(0.0, 5e-3)),
+        "lag": float(rng.uniform(0.0, 0.02)), "tracking": float(rng.uniform(0.0, 5e-3)),
+        "state_age_max": 0.02, "scene_age_max": 0.3, "joint_kind": kind,
+        "joint_rotation": np.concatenate([turn(rng).ravel() for _ in range(n)]),
+        "joint_offset": rng.uniform(-0.25, 0.25, 3 * n),
+        "q_lower": -rng.uniform(1.5, 2.5, n), "q_upper": rng.uniform(1.5, 2.5, n),
+        "v_max": v_max, "a_max": a_max, "j_max": np.zeros(n), "scale": scale(rng, n),
+        "tool_rotation": turn(rng).ravel(), "tool_offset": rng.uniform(-0.1, 0.1, 3),
+        "link_frame": frames.astype(float), "link_first": np.concatenate([[0.0], np.cumsum(counts)]),
+        "spheres": spheres, "pairs": np.array(pairs, float).reshape(-1),
+        "held_links": np.flatnonzero((frames < n) & (rng.random(links) < 0.5)).astype(float),
+    }  # fmt: skip
+
+
+def scale(rng, n):
+    """S of a random weight: u = u_nom + S x."""
+    M = np.eye(n) + 0.2 * rng.normal(size=(n, n))
+    return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(M @ M.T)).T)
+
+
+def thing(rng, near, links, *, moving, apart):
+    """One row of the obstacle table, of any shape, from inside the point `near` to metres away."""
+    shape = int(rng.choice(3, p=[0.6, 0.3, 0.1]))
+    half = {CAPSULE: (0.0, 0.0, rng.choice([0.0, 0.2])), BOX: rng.uniform(0.01, 0.3, 3), HALF_SPACE: (0.0, 0.0, 0.0)}
+    radius = rng.uniform(0.01, 0.1) if shape == CAPSULE else 0.0
+    way = rng.normal(size=3)
+    place = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.15, 0.3, 1.0, 2.0])
+    moves = moving and rng.random() < 0.5
+    velocity = rng.uniform(-0.5, 0.5, 3) if moves else np.zeros(3)
+    separation = (0.1, 1.0, rng.choice([0.0, 0.3])) if apart and rng.random() < 0.3 else (0.0, 0.0, 0.0)
+    mask = ALL if rng.random() < 0.7 else float(rng.integers(0, 2 ** (links + 1)))
+    flags = float(KNOWN * (rng.random() < 0.5) + STATIC * (not moves))
+    return np.array([
+        shape, flags, rng.integers(1, 5), mask, rng.choice([0.0, 0.9, 5.0]), *place, *turn(rng).ravel(), *half[shape],
+        radius, *velocity, rng.choice([0.0, 0.02]), 0.03 * moves, *separation,
+    ])  # fmt: skip
+
+
+def moment(rng, model, points, *, things=8, moving=True, apart=True, permits=True, held=4, rows=2, mobile=False):
+    """A moment of `model`; `points` (k, 3) are places that things may stand beside."""
+    n, links = model["n"], len(model["link_frame"])
+    base = (turn(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
+    R, p = base or (np.eye(3), np.zeros(3))
+    table = [
+        thing(rng, p + R @ points[rng.integers(len(points))], links, moving=moving, apart=apart) for _ in range(things)
+    ]
+    allowed = {
+        (int(rng.integers(links + 1)), int(rng.integers(things))): float(rng.choice([0.0, 0.05]))
+        for _ in range(3 if permits and things else 0)
+    }
+    carried = np.column_stack([rng.uniform(-0.1, 0.1, (held, 3)), rng.uniform(0.01, 0.04, held)])
+    user = [[*rng.normal(size=n), rng.uniform(-3.0, -1.0), 0.01 * k, 1 + k % 4] for k in range(rows)]
+    u_prev = model["v_max"] * rng.uniform(-1.0, 1.0, n) * rng.choice([0.0, 0.1, 0.8])
+    return Moment(
+        rng.uniform(-1.4, 1.4, n), rng.uniform(-0.5, 0.5, n), u_prev + 0.01 * rng.normal(size=n), u_prev,
+        np.array(table).reshape(-1, 29), float(rng.uniform(0.0, 0.04)), 0.1 * moving, allowed, carried,
+        0.003 * (held > 0), np.array(user).reshape(-1, n + 3), base,
+    )  # fmt: skip
+
+
+def kernel(model, build=_kernel64):
+    """A filter of `model` that answers as `SafetyFilter` does."""
+    made = build.Kernel(model)
+    made.answer_with(Filtered, tuple(Status))
+    return made
+
+
+def tell(made, model, m):
+    """All that stays: things, permits, what is held, rows, the base, the last control."""
+    made.set_obstacles(np.ascontiguousarray(m.things))
+    made.clear_permits()
+    for (link, thing), speed in m.permits.items():
+        made.permit(link, thing, speed)
+    made.attach(np.ascontiguousarray(m.held), m.held_error)
+    made.constrain(np.ascontiguousarray(m.rows))
+    if m.base:
+        made.stand(np.concatenate([m.base[0].ravel(), m.base[1]]))
+    made.reset(m.u_prev)
+
+
+def step(made, m):
+    """One step; its answer."""
+    return made.step(m.q, m.v, m.u_nom, m.opening, 0.0, m.age, Names((), (), (), ()))
+
+
+def inside(made, n, links, extra=0.0, *, known_only=False):
+    """Every number of the last step as arrays: joints and spheres cut to what there is, lists of links as lists."""
+    raw = {
+        part: {name: np.frombuffer(data) for name, data in fields.items()}
+        for part, fields in made.inside(extra, known_only).items()
+    }
+    room = {"joints": _kernel64.max_joints, "links": _kernel64.max_links + 1}
+    shapes = {
+        ("body", "reach"): room["joints"], ("body", "link_reach"): room["joints"], ("body", "ball"): room["links"] - 1,
+        ("body", "scale"): room["joints"], ("motion", "twist"): room["joints"] + 1, ("rows", "a"): room["joints"],
+        ("step", "warm"): room["joints"] + 1, ("step", "rotation"): room["joints"] + 1,
+        ("step", "origin"): room["joints"] + 1, ("scene", "permit"): room["links"], ("around", "index"): room["links"],
+    }  # fmt: skip
+    for (part, name), rows in shapes.items():
+        if part in raw:
+            raw[part][name] = raw[part][name].reshape(rows, -1)
+    if "around" in raw:
+        counts = raw["around"]["count"].astype(int)
+        raw["around"]["near"] = [raw["around"]["index"][link, : counts[link]].astype(int) for link in range(links + 1)]
+    return raw

@@ -1,0 +1,142 @@
+"""What a step works with, number by number, against numpy from definitions: bodies and moments of every kind.
+
+Bounds hold and are no looser than stated, lists hold what they must and nothing else, rows are the rows: a factor, an
+index or a sign that is wrong anywhere shows here, also where it would only cost work.
+"""
+
+import numpy as np
+import pytest
+
+from . import moments
+from .weighing import Weighing
+
+KINDS = {
+    "still": {"moving": False, "apart": False, "permits": False, "held": 0, "rows": 0},
+    "everything": {},
+    "mobile": {"mobile": True},
+    "alone": {"things": 0, "permits": False},
+    "crowd": {"things": 21, "apart": False},
+    "one of each": {"things": 1, "held": 1, "rows": 1, "permits": False},
+}
+SIZES = [(7, 6), (8, 19), (2, 3), (5, 8)]
+
+
+def close(got, wanted, what, tolerance=1e-9):
+    np.testing.assert_allclose(got, wanted, atol=tolerance, rtol=1e-9, err_msg=what)
+
+
+def asked(rng, n, links, kind):
+    """A kernel after one step, and what numpy says of the same moment."""
+    model = moments.body(rng, n, links)
+    made = moments.kernel(model)
+    rest = moments.Moment(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty((0, 29)))
+    box = np.array([-model["v_max"], model["v_max"]])
+    points = Weighing(model, rest, box, box).centre
+    m = moments.moment(rng, model, points, **KINDS[kind])
+    moments.tell(made, model, m)
+    answer = moments.step(made, m)
+    if answer.status >= 3:
+        return None
+    got = moments.inside(made, n, links)
+    at = got["step"]
+    box, trust = ((at[low][:n], at[high][:n]) for low, high in (("lower", "upper"), ("trust_lower", "trust_upper")))
+    return made, model, m, answer, got, Weighing(model, m, box, trust)
+
+
+def body_and_scene(got, w):
+    n, held = w.n, len(w.model["spheres"]) + 8
+    close(got["body"]["reach"][:n, :held], w.reach, "longest lever arms")
+    close(got["body"]["link_reach"][:n, : w.links + 1], w.link_reach, "longest lever arms of links")
+    close(got["body"]["ball"][: w.links], w.balls[:-1], "balls around links")
+    close(got["scene"]["held_ball"], w.balls[-1], "ball around what is held")
+    frames = [*np.repeat(w.link_frame[:-1], np.diff(w.first[:-1])), *[n] * 8]
+    close(got["body"]["sphere_frame"][:held], frames, "frames of spheres")
+    scene = got["scene"]
+    for j, t in enumerate(w.things):
+        wanted = {
+            "x": t.start[0], "y": t.start[1], "z": t.start[2], "vx": t.velocity[0], "vy": t.velocity[1],
+            "vz": t.velocity[2], "ax": t.turn[0, t.axis], "ay": t.turn[1, t.axis], "az": t.turn[2, t.axis],
+            "half": t.length, "radius": t.thick, "margin": t.margin, "alpha": t.alpha, "error": t.error,
+            "speed": t.speed, "parts": t.mask, "known": t.flags & 1, "moving": not t.flags & 2, "rank": t.rank,
+            "plain": t.plain,
+        }  # fmt: skip
+        for name, value in wanted.items():
+            assert scene[name][j] == pytest.approx(float(value), abs=1e-12), name
+    assert scene["any_half_space"][0] == any(t.shape == 2 for t in w.things)
+    assert scene["any_separation"][0] == any(t.brake > 0 for t in w.things)
+    assert scene["any_moving"][0] == any(not t.flags & 2 for t in w.things)
+
+
+def motion(got, w):
+    n, count = w.n, len(w.centre)
+    assert got["step"]["spheres"][0] == count
+    close(np.stack([got["step"][e][:count] for e in "xyz"], axis=1), w.centre, "centres")
+    close(got["step"]["r"][:count], w.radius, "radii")
+    for f, (R, p) in enumerate(w.frames):
+        close(got["step"]["rotation"][f].reshape(3, 3), R, "frames")
+        close(got["step"]["origin"][f], p, "frames")
+    told = got["motion"]
+    close(np.stack([told[f"v{e}"][:count] for e in "xyz"], axis=1), w.velocity, "velocities")
+    close(np.stack([told[f"a{e}"][:count] for e in "xyz"], axis=1), w.acceleration, "accelerations")
+    close(told["spread"][:count], w.spread, "spread")
+    close(told["twist"][: n + 1], w.twist, "twists")
+    for name in ("fast", "wide", "beyond"):
+        close(told[name][:n], getattr(w, name), name)
+    for name in ("speed", "haste", "bend"):
+        close(told[name][: w.links + 1], getattr(w, name), name)
+    bound = np.stack([told[name][: w.links + 1] for name in ("bound_x", "bound_y", "bound_z", "bound_r", "inner")], 1)
+    close(bound, w.bounds, "balls where they are")
+
+
+def lists(got, w):
+    if "around" not in got:
+        return
+    around, count = got["around"], len(w.things)
+    places = np.stack([around[e][:count] for e in "xyz"], axis=1)
+    close(places, np.array([t.place for t in w.things]), "things moved on")
+    close(around["margin"][:count], [w.margin(t) for t in w.things], "margins")
+    close(around["alpha"][:count], [w.alpha(t) for t in w.things], "gains")
+    assert [list(near) for near in around["near"]] == w.near
+
+
+def rows(got, w):
+    told = got["rows"]
+    count = int(told["count"][0])
+    names = [tuple(int(told[e][r]) for e in ("kind", "i", "j")) for r in range(count)]
+    assert len(set(names)) == count
+    assert set(names) == set(w.rows)
+    for r, name in enumerate(names):
+        a, b, h, norm, yields, moves, rank = w.rows[name]
+        close(told["a"][: w.n, r], a, f"normal of {name}")
+        close(told["h"][r], h, f"h of {name}")
+        close(told["norm"][r], norm, f"norm of {name}")
+        close(told["b"][r], b, f"right side of {name}")
+        assert (told["yielding"][r], told["moving"][r], told["rank"][r]) == (yields, moves, rank), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
+    rng = np.random.default_rng(len(kind) + 100 * size[0])
+    seen = 0
+    for _ in range(40):
+        found = asked(rng, *size, kind)
+        if found is None:
+            continue
+        _, _, _, answer, got, w = found
+        body_and_scene(got, w)
+        motion(got, w)
+        lists(got, w)
+        assert answer.h_min == pytest.approx(w.h_min, abs=1e-9)
+        if answer.status < 2:  # else right sides are those of the relaxation
+            rows(got, w)
+        visits = {
+            tuple(int(got["step"][e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
+            for r in range(int(got["step"]["visits"][0]))
+        }
+        assert visits == w.visits
+        assert got["step"]["glances"][0] == w.glances
+        seen += 1
+        if seen == 3:
+            return
+    raise AssertionError("too few of these moments have an answer")
