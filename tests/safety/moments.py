@@ -1,6 +1,6 @@
 """Random bodies and moments as the kernel is told of them: any joints, parts, shapes, permits, things held, bases.
 
-Far more than a robot that exists: link 0 may move, parts may be empty, joints slide, eight joints fill the room there is.
+More than exists: link 0 may move, parts may be empty, joints slide, eight joints fill the room that there is.
 """
 
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ def turn(rng):
 def body(rng, n=7, links=6, *, slides=True, alpha=None):
     """A model of `n` joints; some slide; the spheres of its links lie side by side, and a link may have none."""
     frames = np.sort(rng.integers(0, n + 1, links))
-    counts = rng.integers(0, 10 if links < 12 else 6, links)
+    counts = rng.integers(0, 10 if links < 12 else 4, links)
     counts[-1] = max(counts[-1], 2)
     total = int(counts.sum())
     spheres = np.column_stack([

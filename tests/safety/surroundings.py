@@ -11,7 +11,7 @@ BEYOND = 10.0
 
 
 def ball(points, radii, shift):
-    """Middle (from the first point), radius and inner distance: about the middle of the points' box, and a hair more."""
+    """Middle (from the first point), radius, inner distance: about the middle of the points' box, and a hair more."""
     if len(points) == 0:
         return np.zeros(5)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from .anatomy import Anatomy
-from .surroundings import BEYOND, FLOOR, HALF_SPACE, separation_speed
+from .surroundings import BEYOND, FLOOR, separation_speed
 
 OBSTACLE, SELF, _, _, USER = range(5)
 ZERO_GRADIENT, SHIFT, ROUNDED = 1e-4, 1e-10, 1e-5
-"""[m/rad] a row with a smaller normal cannot be acted upon; [rad/s] tightening of rows; [m/s] rounding of a right side."""
+"""[m/rad] a smaller normal cannot be acted upon; [rad/s] rows are tightened; [m/s] rounding of a right side."""
 
 
 class Weighing(Anatomy):
@@ -158,7 +158,7 @@ class Weighing(Anatomy):
 
     @cached_property
     def rows(self):
-        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank, yields) as unit rows, and what cannot be acted upon."""
+        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank) as unit rows; `fixed` are those nothing can change."""
         raw = [row for link, near in enumerate(self.near) for j in near for row in self.meet(link, j)[1]]
         raw += [row for near, far in self.pairs() for row in self.meet_self(near, far)]
         out, self.fixed = {}, []
