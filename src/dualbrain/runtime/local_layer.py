@@ -296,6 +296,7 @@ class LocalLayer:
         if self.spine.driving:
             self.robot.write(Command(result.u, nominal.opening, nominal.force))
         self._lap("write")
+        self.log.stated(now, self.safety.stated)
         self.log.tick(
             now, self.state, nominal.u, result, action, nominal.phase, order=order.action, touched=self.spine.touched
         )  # fmt: skip

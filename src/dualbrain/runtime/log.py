@@ -14,6 +14,7 @@ from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scen
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.trace import DEAD_BAND, Event, EventKind, Trace
 from dualbrain.safety.filter import Filtered
+from dualbrain.safety.rows import Row
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ class FlightLog:
         self.trace, self.recorder, self._announce = trace, recorder, announce
         self.binding: Counter[str] = Counter()
         self._bound: tuple[float, Filtered] | None = None
+        self._rows: tuple[Row, ...] = ()
 
     def tick(
         self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str, *,
@@ -57,6 +59,12 @@ class FlightLog:
         """Log a call that changes the filter's tables, so that a replay can repeat it."""
         if self.recorder:
             self.recorder.call(t, name, **arguments)
+
+    def stated(self, t: float, rows: tuple[Row, ...]) -> None:
+        """Log the rows that no table holds, where they are not those of the last tick."""
+        if rows != self._rows:
+            self._rows = rows
+            self.call(t, "constrain", rows=rows)
 
     def note(self, t: float, kind: EventKind, text: str, **data: Any) -> None:
         """Log an event for people."""

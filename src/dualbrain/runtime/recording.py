@@ -53,7 +53,10 @@ class AttemptMade(msgspec.Struct, frozen=True):
 
 
 class FilterCall(msgspec.Struct, frozen=True):
-    """A call that changes the filter's tables (observe, permit, attach, detach), with all its arguments."""
+    """A call that changes what the filter knows (observe, permit, attach, detach, constrain), with all its arguments.
+
+    `constrain` holds every row of the ticks that follow, also those that live barriers asked for at each of them.
+    """
 
     t: float
     name: str

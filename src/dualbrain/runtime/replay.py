@@ -24,6 +24,7 @@ from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.obstacles import Obstacle
 from dualbrain.safety.permit import Contact
 from dualbrain.safety.result import Filtered
+from dualbrain.safety.rows import Row
 from dualbrain.safety.spine import BRAKED, STANDING, UNTOUCHED
 from dualbrain.safety.supervised import supervised
 
@@ -94,8 +95,10 @@ class _Machine:
                 self._filter.attach(np.asarray(arguments["spheres"]), arguments["error"])
             case "detach":
                 self._filter.detach()
+            case "constrain":
+                self._filter.constrain(msgspec.convert(arguments["rows"], tuple[Row, ...]))
             case _:
-                raise InvalidSetup("recorded call", got=name, allowed="observe, permit, attach, detach")
+                raise InvalidSetup("recorded call", got=name, allowed="observe, permit, attach, detach, constrain")
 
     def _answer(self, state: RobotState, part: dict[str, Array], now: float, touched: float) -> Filtered | None:
         """The control as the supervisor let it be written; None where braking stood in for a broken filter."""

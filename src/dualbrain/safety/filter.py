@@ -64,6 +64,7 @@ class SafetyFilter:
         self._barriers = tuple(barriers)
         self._anew = self._mobile or bool(self._barriers)
         self._rows: tuple[Row, ...] = ()
+        self._stated: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
         self._steepest = steepest(body, self.config) if self.config.tracking_error is None else np.inf
         self._stamp = 0.0
@@ -110,6 +111,11 @@ class SafetyFilter:
         self._rows = tuple(rows)
         self._hand_over(self._rows)
 
+    @property
+    def stated(self) -> tuple[Row, ...]:
+        """The rows of the last step that no table holds: those of `constrain`, and what live barriers asked for."""
+        return self._stated
+
     def _hand_over(self, rows: Sequence[Row]) -> None:
         for row in rows:
             if len(row.a) != self.body.n:
@@ -117,6 +123,7 @@ class SafetyFilter:
         if len(rows) > MAX_ROWS:
             raise InvalidSetup("rows at once", got=len(rows), allowed=f"at most {MAX_ROWS}")
         self._kernel.constrain(row_table(rows, self.body.n))
+        self._stated = tuple(rows)
         self._names = msgspec.structs.replace(self._names, rows=tuple(row.name for row in rows))
 
     def _refresh(self, state: RobotState) -> None:
