@@ -35,8 +35,15 @@ nb::object Kernel::active() const {
   nb::object all = nb::steal(PyTuple_New(out.n_active));
   for (int a = 0; a < out.n_active; ++a) {
     const dbk_active &e = out.active[a];
-    nb::object row = nb::make_tuple(e.kind, e.i, e.j, double(e.h), double(e.multiplier));
-    PyTuple_SET_ITEM(all.ptr(), a, row.release().ptr());
+    PyObject *row = PyTuple_New(5);
+    if (row == nullptr) { throw nb::python_error(); }
+    PyTuple_SET_ITEM(all.ptr(), a, row);
+    PyObject *const parts[5] = {PyLong_FromLong(e.kind), PyLong_FromLong(e.i), PyLong_FromLong(e.j),
+                                PyFloat_FromDouble(double(e.h)), PyFloat_FromDouble(double(e.multiplier))};
+    for (int p = 0; p < 5; ++p) {
+      if (parts[p] == nullptr) { throw nb::python_error(); }
+      PyTuple_SET_ITEM(row, p, parts[p]);
+    }
   }
   return all;
 }

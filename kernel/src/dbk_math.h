@@ -18,6 +18,17 @@ static inline dbk_real dbk_abs(dbk_real x) { return x < (dbk_real)0 ? -x : x; }
 static inline dbk_real dbk_min(dbk_real a, dbk_real b) { return a < b ? a : b; }
 static inline dbk_real dbk_max(dbk_real a, dbk_real b) { return a > b ? a : b; }
 
+/* the least and the greatest of one number for each lane, or `start` */
+static inline dbk_real dbk_least(const dbk_real lane[DBK_LANES], dbk_real start) {
+  for (int32_t l = 0; l < DBK_LANES; ++l) { start = dbk_min(start, lane[l]); }
+  return start;
+}
+
+static inline dbk_real dbk_greatest(const dbk_real lane[DBK_LANES], dbk_real start) {
+  for (int32_t l = 0; l < DBK_LANES; ++l) { start = dbk_max(start, lane[l]); }
+  return start;
+}
+
 static inline dbk_real dbk_clamp(dbk_real x, dbk_real lower, dbk_real upper) {
   if (x > upper) { return upper; }
   return x >= lower ? x : lower; /* NaN becomes the lower bound */

@@ -65,11 +65,8 @@ DBK_WIDE static summary link_meets(const dbk_ctx *ctx, const dbk_link_scene *nea
       least[l] = h < least[l] ? h : least[l];
     }
   }
-  summary it = {least[0], any[0]};
-  for (int32_t l = 1; l < DBK_LANES; ++l) {
-    it.least = dbk_min(it.least, least[l]);
-    it.any |= any[l];
-  }
+  summary it = {dbk_least(least, DBK_BEYOND), 0};
+  for (int32_t l = 0; l < DBK_LANES; ++l) { it.any |= any[l]; }
   return it;
 }
 

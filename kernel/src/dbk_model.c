@@ -20,7 +20,7 @@ dbk_ball dbk_ball_around(const dbk_real *x, const dbk_real *y, const dbk_real *z
                          dbk_real shift) {
   dbk_ball ball = {(dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0, (dbk_real)0};
   if (count <= 0) { return ball; }
-  dbk_real lo[3] = {x[0], y[0], z[0]}, hi[3] = {x[0], y[0], z[0]};
+  dbk_real lo[3] = {DBK_BEYOND, DBK_BEYOND, DBK_BEYOND}, hi[3] = {-DBK_BEYOND, -DBK_BEYOND, -DBK_BEYOND};
   for (int32_t s = 0; s < count; ++s) {
     const dbk_real c[3] = {x[s], y[s], z[s]};
     for (int32_t e = 0; e < 3; ++e) {
@@ -31,7 +31,7 @@ dbk_ball dbk_ball_around(const dbk_real *x, const dbk_real *y, const dbk_real *z
   const dbk_real cx = (dbk_real)0.5 * (lo[0] + hi[0]), cy = (dbk_real)0.5 * (lo[1] + hi[1]);
   const dbk_real cz = (dbk_real)0.5 * (lo[2] + hi[2]);
   const dbk_real slack = shift + DBK_CULL_FLOOR * (dbk_real)0.01;
-  ball.inner = (dbk_real)1e3;
+  ball.inner = DBK_BEYOND;
   for (int32_t s = 0; s < count; ++s) {
     const dbk_real off = dbk_length(x[s] - cx, y[s] - cy, z[s] - cz);
     ball.radius = dbk_max(ball.radius, off + radius[s] + slack);

@@ -75,8 +75,7 @@ static inline dbk_real least_of(const dbk_real *x, int32_t lanes) {
   for (int32_t base = 0; base < lanes; base += DBK_LANES) {
     for (int32_t i = 0; i < DBK_LANES; ++i) { least[i] = x[base + i] < least[i] ? x[base + i] : least[i]; }
   }
-  for (int32_t i = 1; i < DBK_LANES; ++i) { least[0] = dbk_min(least[0], least[i]); }
-  return least[0];
+  return dbk_least(least, DBK_BEYOND);
 }
 
 /* bit `link` where the obstacle matters for that link (a function by itself, lest a compiler takes two links at a time

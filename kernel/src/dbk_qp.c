@@ -199,8 +199,7 @@ static int32_t most_violated(const problem *p, const dbk_solution *at) {
   for (int32_t r = DBK_LANES; r < padded; r += DBK_LANES) {
     for (int32_t l = 0; l < DBK_LANES; ++l) { low[l] = value[r + l] < low[l] ? value[r + l] : low[l]; }
   }
-  dbk_real least = low[0];
-  for (int32_t l = 1; l < DBK_LANES; ++l) { least = dbk_min(least, low[l]); }
+  const dbk_real least = dbk_least(low, worst);
   if (least < worst) {
     for (int32_t r = 0; r < count; ++r) {
       if (value[r] == least) { return 2 * n + r; }

@@ -66,8 +66,7 @@ DBK_WIDE static dbk_real move_relative(const dbk_model *model, const dbk_ctx *ct
       fastest[l] = speed > fastest[l] ? speed : fastest[l];
     }
   }
-  for (int32_t l = 1; l < DBK_LANES; ++l) { fastest[0] = dbk_max(fastest[0], fastest[l]); }
-  return fastest[0];
+  return dbk_greatest(fastest, (dbk_real)0);
 }
 
 typedef struct {
@@ -96,11 +95,8 @@ DBK_WIDE static glance look(const dbk_model *model, const dbk_cloud *cloud, cons
       least[l] = mine < least[l] ? mine : least[l];
     }
   }
-  glance it = {least[0], binds[0]};
-  for (int32_t l = 1; l < DBK_LANES; ++l) {
-    it.least = dbk_min(it.least, least[l]);
-    it.binds |= binds[l];
-  }
+  glance it = {dbk_least(least, DBK_BEYOND), 0};
+  for (int32_t l = 0; l < DBK_LANES; ++l) { it.binds |= binds[l]; }
   return it;
 }
 

@@ -37,10 +37,10 @@ static inline void gather_one(const dbk_covers *c, const dbk_surround *around, d
 static void gather(const dbk_scene *scene, const dbk_surround *around, const dbk_link_scene *near, company *restrict to,
                    dbk_batch *restrict w) {
   const dbk_real held_error = near->held_error;
-  int32_t n = 0, o = 0;
+  int32_t n = 0;
   for (int32_t i = 0; i < near->n_near; ++i) {
-    if (!dbk_sociable(scene, near->link, near->near[i])) { continue; }
-    o = near->near[i];
+    const int32_t o = near->near[i];
+    if (!dbk_sociable(scene, near->link, o)) { continue; }
     w->index[n] = o;
     w->yielding[n] = 0;
     gather_one(&scene->covers, around, held_error, o, &to->block[n / DBK_LANES], n % DBK_LANES);
@@ -48,7 +48,7 @@ static void gather(const dbk_scene *scene, const dbk_surround *around, const dbk
   }
   to->count = w->count = n;
   for (; n % DBK_LANES != 0; ++n) {
-    gather_one(&scene->covers, around, held_error, o, &to->block[n / DBK_LANES], n % DBK_LANES);
+    gather_one(&scene->covers, around, held_error, w->index[w->count - 1], &to->block[n / DBK_LANES], n % DBK_LANES);
   }
 }
 

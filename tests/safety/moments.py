@@ -53,7 +53,7 @@ def body(rng, n=7, links=6, *, slides=True, alpha=None):
         :96
     ]
     v_max = rng.uniform(0.5, 2.5, n)
-    a_max = v_max * rng.uniform(2.0, 40.0, n)
+    a_max = v_max * rng.uniform(2.0, 10.0, n) * rng.choice([1.0, 5.0, 50.0])  # the last: a box as wide as v_max
     return {
         "n": n, "period": float(rng.choice([1e-3, 4e-3])), "alpha": alpha or float(rng.uniform(1.0, 6.0)),
         "alpha_self": float(rng.uniform(1.0, 6.0)), "alpha_joint": float(rng.uniform(1.0, 6.0)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from . import moments
-from .weighing import Weighing
+from .weighing import LOWER, OBSTACLE, SELF, UPPER, Weighing
 
 KINDS = {
     "still": {"moving": False, "apart": False, "permits": False, "held": 0, "rows": 0},
@@ -18,6 +18,8 @@ KINDS = {
     "crowd": {"things": 21, "apart": False},
     "one of each": {"things": 1, "held": 1, "rows": 1, "permits": False},
 }
+STOPPING = 1 | 2 | 4 | 8 | 16 | 32 | 64 | 256
+"""Reasons for which nothing is computed."""
 SIZES = [(7, 6), (8, 19), (2, 3), (5, 8)]
 
 
@@ -25,22 +27,25 @@ def close(got, wanted, what, tolerance=1e-9):
     np.testing.assert_allclose(got, wanted, atol=tolerance, rtol=1e-9, err_msg=what)
 
 
-def asked(rng, n, links, kind):
-    """A kernel after one step, and what numpy says of the same moment."""
+def asked(rng, n, links, kind, oracle=Weighing, *, crowded=False):
+    """A kernel after one step, and what numpy says of the same moment; None where the input was refused."""
     model = moments.body(rng, n, links)
     made = moments.kernel(model)
     rest = moments.Moment(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty((0, 29)))
     box = np.array([-model["v_max"], model["v_max"]])
     points = Weighing(model, rest, box, box).centre
     m = moments.moment(rng, model, points, **KINDS[kind])
+    if crowded:  # fast toward what is near, and rows of one's own that contradict
+        m.u_nom = m.u_prev = model["v_max"] * rng.uniform(-0.5, 0.5, n)
+        m.rows = np.concatenate([m.rows, -m.rows * np.array([*[1.0] * n, -0.01, 1.0, -1.0])]).reshape(-1, n + 3)
     moments.tell(made, model, m)
     answer = moments.step(made, m)
-    if answer.status >= 3:
+    if answer.status == 3 or answer.flags & STOPPING:
         return None
     got = moments.inside(made, n, links)
     at = got["step"]
     box, trust = ((at[low][:n], at[high][:n]) for low, high in (("lower", "upper"), ("trust_lower", "trust_upper")))
-    return made, model, m, answer, got, Weighing(model, m, box, trust)
+    return made, model, m, answer, got, oracle(model, m, box, trust)
 
 
 def body_and_scene(got, w):
@@ -99,12 +104,41 @@ def lists(got, w):
     assert [list(near) for near in around["near"]] == w.near
 
 
+def projected(made, w):
+    """The same lists as a projection has them: more clearance, and only what is known."""
+    more = Weighing(w.model, w.m, (w.low, w.high), (w.trust_low, w.trust_high))
+    more.extra, more.known_only = 0.013, True
+    lists(moments.inside(made, w.n, w.links, more.extra, known_only=True), more)
+
+
+def spans(told, w, names):
+    """Rows side by side that the same joints move: each run as long as it can be, made by one sphere or by several."""
+    wanted = []
+    for kind, i, j in names:
+        if kind == OBSTACLE:
+            link = next(link for link in range(w.links + 1) if i in w.of(link))
+            social = [k for k in w.near[link] if w.things[k].plain and (link, k) not in w.m.permits]
+            wanted.append((0, w.link_frame[link], float(not (j in social and len(social) > len(w.of(link))))))
+        elif kind == SELF:
+            wanted.append((w.frame[j], w.frame[i], 1.0))
+    begins = [r for r, span in enumerate(wanted) if r == 0 or span != wanted[r - 1]]
+    count = int(told["n_spans"][0])
+    assert told["span_first"][:count].tolist() == begins
+    got = np.stack([told[name][:count] for name in ("span_from", "span_upto", "span_several")], axis=1)
+    close(got, np.array([wanted[r] for r in begins]).reshape(-1, 3), "spans")
+
+
 def rows(got, w):
     told = got["rows"]
     count = int(told["count"][0])
     names = [tuple(int(told[e][r]) for e in ("kind", "i", "j")) for r in range(count)]
     assert len(set(names)) == count
     assert set(names) == set(w.rows)
+    if not w.fixed:
+        spans(told, w, names)
+    padded = -(-count // 8) * 8
+    assert np.all(told["a"][: w.n, count:padded] == 0.0), "rows that fill the last vector ask for nothing"
+    assert np.all(told["b"][count:padded] == -1e9)
     for r, name in enumerate(names):
         a, b, h, norm, yields, moves, rank = w.rows[name]
         close(told["a"][: w.n, r], a, f"normal of {name}")
@@ -112,6 +146,27 @@ def rows(got, w):
         close(told["norm"][r], norm, f"norm of {name}")
         close(told["b"][r], b, f"right side of {name}")
         assert (told["yielding"][r], told["moving"][r], told["rank"][r]) == (yields, moves, rank), name
+
+
+def optimal(answer, got, w):
+    """What binds, by name, carries the answer away from the nominal: R (u - u_nom) is the sum of multiplier times normal."""
+    assert (answer.n_rows, answer.relaxed) == (got["rows"]["count"][0], 0)
+    S = w.model["scale"]
+    pull = np.linalg.solve(S @ S.T, np.array(answer.u) - w.m.u_nom)
+    for kind, i, j, h, weight in answer.rows:
+        if kind in (LOWER, UPPER):
+            side = np.eye(w.n)[i] * (1.0 if kind == LOWER else -1.0)
+            bound = (w.low if kind == LOWER else -w.high)[i]
+            assert h == 0.0
+        else:
+            side, bound, gap, *_ = w.rows[kind, i, j]
+            assert h == pytest.approx(gap, abs=1e-9)
+        assert weight > 0.0
+        assert side @ answer.u == pytest.approx(bound, abs=1e-9), "it does bind"
+        pull = pull - weight * side
+    close(pull, 0.0, "what moved the answer", 1e-6)
+    warm = got["step"]["warm"][: int(got["step"]["n_warm"][0]), :3]
+    assert [tuple(row) for row in warm] == [row[:3] for row in answer.rows]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -123,13 +178,15 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
         found = asked(rng, *size, kind)
         if found is None:
             continue
-        _, _, _, answer, got, w = found
+        made, _, _, answer, got, w = found
         body_and_scene(got, w)
         motion(got, w)
         lists(got, w)
         assert answer.h_min == pytest.approx(w.h_min, abs=1e-9)
+        projected(made, w)
         if answer.status < 2:  # else right sides are those of the relaxation
             rows(got, w)
+            optimal(answer, got, w)
         visits = {
             tuple(int(got["step"][e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
             for r in range(int(got["step"]["visits"][0]))

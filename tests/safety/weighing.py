@@ -10,7 +10,7 @@ import numpy as np
 from .anatomy import Anatomy
 from .surroundings import BEYOND, FLOOR, separation_speed
 
-OBSTACLE, SELF, _, _, USER = range(5)
+OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 ZERO_GRADIENT, SHIFT, ROUNDED = 1e-4, 1e-10, 1e-5
 """[m/rad] a smaller normal cannot be acted upon; [rad/s] rows are tightened; [m/s] rounding of a right side."""
 

@@ -1,0 +1,104 @@
+"""The dual method of Goldfarb and Idnani once more, in numpy: least squares in place of kept factors.
+
+The same path as the kernel's: which constraint comes next, what leaves, how often. So a mistake that only costs
+iterations is seen as well.
+"""
+
+import numpy as np
+
+TOLERANCE, DEPENDENT, CAP = 1e-11, 1e-9, 80
+"""A row violated by less counts as met; sine of the angle below which a normal depends on others; iterations."""
+
+
+class Problem:
+    """min ½|x|², u = u_nom + S x, A u + soft·slack ≥ b, low ≤ u ≤ high; constraints count: lower, upper, rows."""
+
+    def __init__(self, S, A, b, soft, low, high, u_nom, *, slack):
+        self.S, self.A, self.b, self.soft, self.low, self.high = S, A, b, soft, low, high
+        self.n, self.u_nom, self.with_slack = len(u_nom), u_nom, slack
+        self.u, self.slack, self.iterations = u_nom.copy(), 0.0, 0
+        self.active, self.multiplier = [], np.zeros(0)
+
+    def normal(self, at):
+        """In coordinates (x, slack)."""
+        n = self.n
+        if at < 2 * n:
+            inner, own = self.S[at % n] * (1.0 if at < n else -1.0), 0.0
+        else:
+            inner, own = self.S.T @ self.A[at - 2 * n], self.soft[at - 2 * n]
+        return np.array([*inner, own] if self.with_slack else inner)
+
+    def values(self, u, slack):
+        """Constraint values minus right sides."""
+        rows = self.A @ u - self.b + (self.soft * slack if self.with_slack else 0.0)
+        return np.concatenate([u - self.low, self.high - u, rows])
+
+    def move(self, x):
+        self.u = self.u + self.S @ x[: self.n]
+        self.slack += x[self.n] if self.with_slack else 0.0
+
+    def start(self, warm):
+        """The minimiser on what was active, without those whose multipliers are not positive."""
+        for at in warm[: self.n]:
+            if self.free(at):
+                self.active.append(at)
+        while self.active:
+            N = np.array([self.normal(at) for at in self.active])
+            self.multiplier = np.linalg.solve(N @ N.T, -self.values(self.u_nom, 0.0)[self.active])
+            if self.multiplier.min() > 0.0:
+                self.move(N.T @ self.multiplier)
+                return
+            del self.active[int(np.argmin(self.multiplier))]
+        self.multiplier = np.zeros(0)
+
+    def split(self, at):
+        """Coefficients of a normal along the active ones, and the rest."""
+        normal = self.normal(at)
+        if not self.active:
+            return np.zeros(0), normal
+        N = np.array([self.normal(other) for other in self.active])
+        r = np.linalg.lstsq(N.T, normal, rcond=None)[0]
+        return r, normal - N.T @ r
+
+    def free(self, at):
+        _, rest = self.split(at)
+        return rest @ rest > DEPENDENT**2 * (self.normal(at) @ self.normal(at))
+
+    def solve(self, warm=()):
+        """0 solved, 1 infeasible (active and multiplier are Farkas'), 2 the cap."""
+        self.start(list(warm))
+        while self.iterations < CAP:
+            values = self.values(self.u, self.slack)
+            at = int(np.argmin(values))
+            if not values[at] < -TOLERANCE:
+                return 0
+            result = self.add(at)
+            if result:
+                return result
+        return 2
+
+    def add(self, at):
+        """Bring one violated constraint to its bound."""
+        mine = 0.0
+        while self.iterations < CAP:
+            r, rest = self.split(at)
+            ratios = np.where(r > 1e-13, self.multiplier / np.where(r > 1e-13, r, 1.0), np.inf)
+            dual = ratios.min(initial=np.inf)
+            room = len(self.active) < len(rest) and self.free(at)
+            primal = -self.values(self.u, self.slack)[at] / (rest @ rest) if room else np.inf
+            if np.isinf(dual) and np.isinf(primal):
+                self.active, self.multiplier = [*self.active, at], np.array([*(-r), 1.0])
+                return 1
+            step = min(dual, primal)
+            if room:
+                self.move(step * rest)
+            self.multiplier, mine = self.multiplier - step * r, mine + step
+            self.iterations += 1
+            if primal <= dual:
+                self.active.append(at)
+                self.multiplier = np.array([*self.multiplier, mine])
+                return 0
+            gone = int(np.argmin(ratios))
+            del self.active[gone]
+            self.multiplier = np.delete(self.multiplier, gone)
+        return 2
