@@ -54,7 +54,8 @@ class Relaxing(Weighing):
         moving = np.array([self.rows[name][5] > 0.0 for name in names])
         rank = np.array([self.rows[name][6] for name in names])
         passive = np.array([
-            self.passive(name, want[r], 0.5 * (best - worst)[r]) if moving[r] else want[r] for r, name in enumerate(names)
+            self.passive(name, want[r], 0.5 * (best - worst)[r]) if moving[r] else want[r]
+            for r, name in enumerate(names)
         ])  # fmt: skip
         floor = np.where(rank <= 2, np.minimum(passive, A @ brake - GRANTED), NEVER)
         rank = np.where((rank <= 2) & (A @ brake >= want), 0, rank)
@@ -93,7 +94,7 @@ class Relaxing(Weighing):
         return out
 
     def kept(self, u, spare=-1e-12):
-        """Is every h of the next step at least zero, or no deeper than now? By `spare`, as rounding may tell otherwise."""
+        """Is every h of the next step at least zero, or no deeper than now? By `spare`, for rounding."""
         m = replace(
             self.m, q=self.y + self.model["period"] * u, v=np.zeros(self.n), age=self.m.age + self.model["period"]
         )  # fmt: skip

@@ -149,7 +149,7 @@ def rows(got, w):
 
 
 def optimal(answer, got, w):
-    """What binds, by name, carries the answer away from the nominal: R (u - u_nom) is the sum of multiplier times normal."""
+    """What binds, by name, carries the answer off the nominal: R (u - u_nom) is the sum of multiplier times normal."""
     assert (answer.n_rows, answer.relaxed) == (got["rows"]["count"][0], 0)
     S = w.model["scale"]
     pull = np.linalg.solve(S @ S.T, np.array(answer.u) - w.m.u_nom)

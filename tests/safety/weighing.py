@@ -158,7 +158,7 @@ class Weighing(Anatomy):
 
     @cached_property
     def rows(self):
-        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank) as unit rows; `fixed` are those nothing can change."""
+        """(kind, i, j) -> (a, b, h, norm, yielding, moving, rank) as unit rows; `fixed` are those of no gradient."""
         raw = [row for link, near in enumerate(self.near) for j in near for row in self.meet(link, j)[1]]
         raw += [row for near, far in self.pairs() for row in self.meet_self(near, far)]
         out, self.fixed = {}, []
