@@ -10,6 +10,11 @@ The limits are sums of times that the code declares, never of times that were me
     flood       the time in which FRAMES_A_SECOND are heard at FRAMES_A_TICK a tick, twice (the second that counts them
                 may end in between), then as rubbish
     gatekeeper  WATCHDOG of the robot's own process, and BEHIND, by which that may lag before it lets time go
+
+Each deed is done at each of the worst moments, a drawn part of a tenth of a second after it has come. Meanwhile the
+cortex writes its ledger; what it was told is stored must be there afterwards, in a valid chain, and the contract of the
+next commander must be accepted and carried out to an end (after the gatekeeper's death: at the next gatekeeper). Unsafe
+is what happens until then: a hand that was stopped around a thing has no permit to hold it under the next contract.
 """
 
 from __future__ import annotations
@@ -17,30 +22,32 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
+from collections import Counter
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
+from dualbrain.runtime.faults import FULL_SPEED, MOMENTS, PHASES
 from dualbrain.runtime.gatekeeper.door import FRAMES_A_SECOND, FRAMES_A_TICK
 from dualbrain.runtime.gatekeeper.keeper import BEAT_EVERY, SILENCE
-from dualbrain.runtime.gatekeeper.robot_process import BEHIND, WATCHDOG, Report
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.runtime.vocabulary import PLANNER
+from dualbrain.runtime.gatekeeper.robot_process import BEHIND, WATCHDOG
 from dualbrain.safety.order import Rung
 from dualbrain.safety.timing import SIMULATED
-from dualbrain.world.catalogue import open_scene
+from proofs.cortex_stage import Stage, gatekeeper, until
+from proofs.figures import share, table
+from proofs.kills import examine
 from proofs.proof import Options, Row, Unit
+from proofs.tick import await_report
 
 HOW = ("kill", "stop", "flood", "rubbish", "gatekeeper")
-MOMENTS = (0.3, 0.8, 1.5, 2.5, 4.0, 5.0, 6.5, 8.0)
-"""Seconds after the contract began: approach, descent, grasp, carrying, lowering."""
+ACKNOWLEDGEMENT = "between write and acknowledgement"
+"""Here: the contract has left the cortex, and no answer has come."""
+REPEATS = 4
 STALL = SIMULATED.lost
 TOLD = BEAT_EVERY * SIMULATED.period + 2.0 * STALL
 COUNTED = FRAMES_A_SECOND / FRAMES_A_TICK * SIMULATED.period
@@ -49,7 +56,6 @@ DECLARED = {
     "gatekeeper": WATCHDOG + BEHIND,
 }  # fmt: skip
 """Until HOLD (or more) is told in a heartbeat, or the drive is off, at most [s]; why, stands at the top."""
-CHILD = Path(__file__).resolve().parents[2] / "tests" / "runtime" / "gatekeeper" / "cortex.py"
 
 
 class Cortex:
@@ -57,103 +63,118 @@ class Cortex:
 
     name = "cortex"
     claim = (
-        "The cortex killed, stopped, flooding or talking rubbish, or the gatekeeper killed, at any moment of a "
-        "contract: a safe state within the declared time, nothing unsafe, and the next commander is welcome."
+        "The cortex killed, stopped, flooding or talking rubbish, or the gatekeeper killed, at the worst moments of a "
+        "contract: a safe state within the declared time, nothing unsafe, nothing lost in the ledger, and the next "
+        "commander is welcome and its contract carried out."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """5 ways × 8 moments."""
+        """4 times 5 ways × 6 moments."""
         del options
-        return [Unit(f"{how}/{at}", {"how": how, "at": at}) for at in MOMENTS for how in HOW]
+        return [
+            Unit(f"{how}/{moment}/{again}", {"how": how, "moment": moment, "seed": again})
+            for again in range(REPEATS) for moment in MOMENTS for how in HOW
+        ]  # fmt: skip
 
     def run(self, about: dict[str, Any]) -> Row:
         """One contract that loses its commander."""
-        how = about["how"]
-        with tempfile.TemporaryDirectory() as name:
+        with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
             folder = Path(name)
-            plan = Plan(
-                "panda", open_scene("bare:0"), str(folder / "s"), str(folder / "keys"), report=str(folder / "r.json")
-            )
-            process = Process(plan)
+            stage = Stage(folder, gatekeeper(folder, "one"))
             try:
-                took, again = _lose(folder, process, how, about["at"])
+                found = _lose(stage, about["how"], about["moment"], about["seed"])
+                found |= stage.serves_again(dead=about["how"] == "gatekeeper")
             finally:
-                process.stop()
-            deadline = time.monotonic() + 10.0
-            while not (folder / "r.json").exists() and time.monotonic() < deadline:
-                time.sleep(0.05)
-            time.sleep(0.1)
-            report = msgspec.json.decode((folder / "r.json").read_bytes(), type=Report)
-        if how == "gatekeeper" and took is not None:
-            took = report.off_at - took if report.off_at is not None else None
-        unsafe = [one for one in msgspec.to_builtins(report.judgement.violations) if one["kind"] != "object_dropped"]
-        return {"how": how, "took": took, "again": again, "unsafe": unsafe, "travel": report.travel}
+                stage.leave()
+            report = await_report(folder / "one.json")
+            fault, missing = examine(folder / "ledger.sqlite", set(stage.stored))
+        if about["how"] == "gatekeeper":
+            found["took"] = report.off_at - found["at"] if report.off_at is not None else None
+        until_then = inf if about["how"] == "gatekeeper" else found["next_at"]
+        told = [one for one in report.judgement.violations if one.kind != "object_dropped"]
+        unsafe = msgspec.to_builtins([one for one in told if one.start < until_then])
+        ledger = {"stored": len(stage.stored), "missing": missing, "fault": fault}
+        later = len(told) - len(unsafe)
+        return {**about, **found, "unsafe": unsafe, "later": later, "travel": report.travel, "ledger": ledger}
 
     def brief(self, row: Row) -> str:
         """For the progress line."""
-        return f"{row['how']}: {row['took']}, welcome again {row['again']}, unsafe {len(row['unsafe'])}"
+        took = "never" if row["took"] is None else f"{1e3 * row['took']:.0f} ms"
+        ledger = row["ledger"]["fault"] or f"{row['ledger']['missing']} of {row['ledger']['stored']} lost"
+        return f"{took}, the next {row['next']}, unsafe {len(row['unsafe'])}, ledger: {ledger}"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """By way: times, and what went wrong."""
-        head = "| how | episodes | declared | median | 99 % | longest | later than declared | unsafe | welcome again |"
-        lines = [head, "|---" * 9 + "|"]
-        for how in HOW:
-            group = [row for row in rows if row["how"] == how]
-            times = [row["took"] for row in group if row["took"] is not None]
-            if not times:
-                continue
-            told = [1e3 * DECLARED[how], *(1e3 * float(value) for value in np.percentile(times, (50, 99, 100)))]
-            late = sum(value > DECLARED[how] for value in times)
-            wrong, welcome = (sum(bool(row[name]) for row in group) for name in ("unsafe", "again"))
-            words = " | ".join(f"{value:.0f} ms" for value in told)
-            lines.append(f"| {how} | {len(group)} | {words} | {late} | {wrong} | {welcome} |")
-        return lines
+        """Times by way and by moment, the ledger, the next commander, and whatever went wrong by name."""
+        fair = [row for row in rows if not row["early"]]
+        head = ("how", "episodes", "declared", "median", "99 %", "longest", "later than declared", "unsafe",
+                "next contract")  # fmt: skip
+        lines = table(head, (_line(how, fair) for how in HOW if any(row["how"] == how for row in fair)))
+        head = ("longest, by moment", *HOW)
+        lines += table(head, ((moment, *(_longest(fair, how, moment) for how in HOW)) for moment in MOMENTS))
+        stored, missing = (sum(row["ledger"][name] for row in rows) for name in ("stored", "missing"))
+        intact = sum(not (row["ledger"]["fault"] or row["ledger"]["missing"]) for row in rows)
+        lines += [
+            f"Ledger intact (chain valid, every acknowledged episode there, weights rebuilt equal, open to the next "
+            f"writer): **{share(intact, len(rows))}**; {missing} of {stored} acknowledged episodes lost.",
+        ]  # fmt: skip
+        if early := len(rows) - len(fair):
+            lines += ["", f"Not counted: {early} whose arm was held before the deed (the machine had no time for it)."]
+        return ["", *lines, "", *(f"- {row['key']}: {self.brief(row)}; {row['unsafe']}" for row in fair if _bad(row))]
 
 
-def _lose(folder: Path, process: Process, how: str, at: float) -> tuple[float | None, bool]:
-    """Seconds from the deed to HOLD, and whether another commander is taken; for a dead gatekeeper, when it died."""
-    flags = ["-S"] if sys.flags.no_site else []
-    watcher = GatekeeperLink(folder / "s")
-    child = subprocess.Popen(
-        [sys.executable, *flags, str(CHILD), str(folder / "s"), str(folder / "keys"), how], stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        if child.stdout is None or child.stdin is None or child.stdout.readline() != "running\n":
-            raise RuntimeError("the commander did not start")
-        time.sleep(at)
-        start = time.monotonic()
-        if how == "gatekeeper":
-            os.kill(process.process.pid, signal.SIGKILL)
-            return start, True
-        if how in ("kill", "stop"):
-            os.kill(child.pid, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
-        else:
-            child.stdin.write("go\n")
-            child.stdin.flush()
-        took = _until_hold(watcher, start)
-        return took, _welcome(folder)
-    finally:
-        child.kill()
-        child.wait()
-        watcher.close()
+def _lose(stage: Stage, how: str, moment: str, seed: int) -> Row:
+    """When the deed was done [s, monotonic], how long it took until HOLD, whether the arm was held before."""
+    child = stage.begin(how, waits=moment != ACKNOWLEDGEMENT)
+    wait = float(np.random.default_rng([seed, HOW.index(how), MOMENTS.index(moment)]).uniform(0.0, 0.1))
+    if moment == ACKNOWLEDGEMENT:
+        _say(child, "write")
+        stage.await_line("written")
+    else:
+        fast = FULL_SPEED if moment == "closing" else 0.0
+        until(moment, lambda: stage.phase in PHASES[moment] and stage.speed >= fast)
+        time.sleep(wait)
+    early, at = stage.order() >= Rung.HOLD, time.monotonic()
+    if how == "gatekeeper":
+        os.kill(stage.process.process.pid, signal.SIGKILL)
+    elif how in ("kill", "stop"):
+        os.kill(child.pid, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
+    else:
+        _say(child, "go")
+    took = None if how == "gatekeeper" else _until_hold(stage, at)
+    return {"at": at, "wait": wait, "early": early, "took": took}
 
 
-def _until_hold(watcher: GatekeeperLink, start: float) -> float | None:
+def _say(child: subprocess.Popen[str], word: str) -> None:
+    if child.stdin:
+        child.stdin.write(word + "\n")
+        child.stdin.flush()
+
+
+def _until_hold(stage: Stage, start: float) -> float | None:
     while time.monotonic() - start < 5.0:
-        if watcher.beat and Rung[watcher.beat.action] >= Rung.HOLD:
+        if stage.order() >= Rung.HOLD:
             return time.monotonic() - start
-        time.sleep(0.002)
+        time.sleep(0.001)
     return None
 
 
-def _welcome(folder: Path) -> bool:
-    deadline = time.monotonic() + 3.0
-    while time.monotonic() < deadline:
-        try:
-            GatekeeperLink(folder / "s", open_keys(folder / "keys"), PLANNER).close()
-        except LinkLost:
-            time.sleep(0.05)
-        else:
-            return True
-    return False
+def _line(how: str, rows: list[Row]) -> tuple[object, ...]:
+    group = [row for row in rows if row["how"] == how]
+    times = [row["took"] for row in group if row["took"] is not None]
+    quantiles = np.percentile(times, (50, 99, 100)) if times else (np.nan,) * 3
+    told = [f"{1e3 * float(value):.0f} ms" for value in (DECLARED[how], *quantiles)]
+    late = sum(row["took"] is None or row["took"] > DECLARED[how] for row in group)
+    ends = Counter(row["next"] for row in group)
+    following = ", ".join(f"{kind} {count}" for kind, count in ends.most_common())
+    return (how, len(group), *told, late, sum(bool(row["unsafe"]) for row in group), following)
+
+
+def _longest(rows: list[Row], how: str, moment: str) -> str:
+    group = [row["took"] for row in rows if (row["how"], row["moment"]) == (how, moment)]
+    return "–" if not group else "never" if None in group else f"{1e3 * max(group):.0f} ms"
+
+
+def _bad(row: Row) -> bool:
+    late = row["took"] is None or row["took"] > DECLARED[row["how"]]
+    lost = bool(row["ledger"]["fault"] or row["ledger"]["missing"])
+    return late or bool(row["unsafe"]) or row["next"] in ("refused", "not let in") or lost

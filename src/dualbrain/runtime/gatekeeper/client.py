@@ -118,6 +118,11 @@ class GatekeeperLink:
 
     def propose(self, contract: bytes, scene_version: int, *, life: float = LIFE) -> Answer | Refused:
         """Hand in a contract, sealed; the gate's answer, or why it was not even looked at."""
+        self.hand_in(contract, scene_version, life=life)
+        return self._any(Answer, Refused)
+
+    def hand_in(self, contract: bytes, scene_version: int, *, life: float = LIFE) -> int:
+        """As `propose`, without waiting for the answer; the number of the frame."""
         with self._lock:
             self._sent += 1
             issued, expires = self.now, self.now + life
@@ -128,7 +133,7 @@ class GatekeeperLink:
                 contract=contract, issued=issued, expires=expires, scene_version=scene_version, seal=tag
             )  # fmt: skip
             self._send(encode(kind_of(message), self._sent, encode_body(message)))
-        return self._any(Answer, Refused)
+            return self._sent
 
     def operate(self, act: Act, speed: float = 1.0) -> None:
         """A person's hand."""

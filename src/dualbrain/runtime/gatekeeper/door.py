@@ -205,14 +205,14 @@ def _user(link: socket.socket) -> int:
     return user
 
 
+def listens(path: Path) -> bool:
+    """Whether somebody listens at `path`: a gatekeeper that was killed leaves a socket at which nobody does."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        return probe.connect_ex(str(path)) == 0
+
+
 def _remove_dead(path: Path) -> None:
     """Remove a socket that nobody listens at; refuse one that somebody does."""
-    probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        probe.connect(str(path))
-    except OSError:
-        path.unlink()
-        return
-    finally:
-        probe.close()
-    raise InvalidSetup("socket", got="a gatekeeper that runs", allowed="a path of its own", fix=str(path))
+    if listens(path):
+        raise InvalidSetup("socket", got="a gatekeeper that runs", allowed="a path of its own", fix=str(path))
+    path.unlink()

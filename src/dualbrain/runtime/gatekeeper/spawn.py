@@ -16,7 +16,7 @@ import msgspec
 
 from dualbrain.errors import InvalidSetup
 from dualbrain.runtime.gatekeeper.capability import Capability
-from dualbrain.runtime.gatekeeper.door import Door
+from dualbrain.runtime.gatekeeper.door import Door, listens
 from dualbrain.runtime.gatekeeper.keeper import Gatekeeper
 from dualbrain.runtime.gatekeeper.laps import Laps
 from dualbrain.runtime.gatekeeper.metronome import Punctuality
@@ -119,9 +119,9 @@ class Process:
             self.process.stdin.write(msgspec.msgpack.encode(plan))
             self.process.stdin.close()
         deadline = time.monotonic() + START
-        while not Path(plan.socket).exists() and self.process.poll() is None and time.monotonic() < deadline:
+        while not (up := listens(Path(plan.socket))) and self.process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.02)
-        if not Path(plan.socket).exists():
+        if not up:
             raise InvalidSetup("gatekeeper", got=f"exit code {self.process.poll()}", allowed="one that comes up")
 
     def stop(self) -> None:
