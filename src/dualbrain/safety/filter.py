@@ -66,6 +66,7 @@ class SafetyFilter:
         self._rows: tuple[Row, ...] = ()
         self._stated: tuple[Row, ...] = ()
         self._kernel = make_kernel(body, self.config, weight)
+        self._step = self._kernel.step
         self._steepest = steepest(body, self.config) if self.config.tracking_error is None else np.inf
         self._stamp = 0.0
         self._obstacles: tuple[Obstacle, ...] = ()
@@ -168,7 +169,7 @@ class SafetyFilter:
 
     # --- control ----------------------------------------------------------------------------------------------
 
-    def __call__(self, q: Array, v: Array, u_nom: Array, now: float = 0.0, *, opening: float = 0.0) -> Filtered:
+    def __call__(self, q: Array, v: Array, u_nom: Array, now: float = 0.0, opening: float = 0.0) -> Filtered:
         """One control step from joint angles q, velocities v and the nominal control u_nom, each (n,), SI.
 
         With moving obstacles `now` [s] must be the time on the clock of `observe`'s stamps; the state counts as fresh.
@@ -177,7 +178,7 @@ class SafetyFilter:
             q, v = np.asarray(q, float), np.asarray(v, float)
             return self.filter(RobotState(now, 0, q, v, opening, (0.0, 0.0)), u_nom, now)
         try:
-            return self._kernel.step(q, v, u_nom, opening, 0.0, now - self._stamp, self._names)
+            return self._step(q, v, u_nom, opening, 0.0, now - self._stamp, self._names)
         except ValueError:
             raise self._misfit(q=q, v=v, u_nom=u_nom) from None
 
@@ -186,7 +187,7 @@ class SafetyFilter:
         state = self._ready(state)
         ages = (now - state.stamp, now - self._stamp)
         try:
-            return self._kernel.step(state.q, state.v, u_nom, state.opening, *ages, self._names)
+            return self._step(state.q, state.v, u_nom, state.opening, *ages, self._names)
         except ValueError:
             raise self._misfit(q=state.q, v=state.v, u_nom=u_nom) from None
 

@@ -102,7 +102,7 @@ class Names(msgspec.Struct, frozen=True):
         return self.spheres[index] if index < len(self.spheres) else "held"
 
 
-class Filtered(msgspec.Struct, frozen=True, eq=False):
+class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles
     """One answer of the filter.
 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
