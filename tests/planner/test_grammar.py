@@ -2,8 +2,10 @@
 
 import json
 
-from dualbrain.planner.grammar import actions_grammar, narrow
-from tests.planner.questions import request
+import pytest
+
+from dualbrain.planner.grammar import actions_grammar, contract_grammar, narrow, tail_grammar
+from tests.planner.questions import REGISTRY, request
 
 
 def test_words_for_people_are_left_out_and_names_of_parameters_are_not() -> None:
@@ -30,3 +32,26 @@ def test_shared_definitions_travel_along() -> None:
         "$defs": {"step": {"enum": [1], "title": "a step"}},
     }
     assert '"$defs": {"step": {"enum": [1]}}' in actions_grammar(schema)
+
+
+def reads(grammar: str, text: str) -> bool:
+    """Whether LLGuidance takes `text` for a whole answer, byte by byte."""
+    llguidance = pytest.importorskip("llguidance", reason="the extra `adapt` is not installed")
+    matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", _lark(grammar)))
+    assert not matcher.is_error(), matcher.get_error()
+    return matcher.try_consume_tokens(list(text.encode())) == len(text.encode()) and matcher.is_accepting()
+
+
+def _lark(grammar: str) -> str:
+    return grammar.removeprefix("%llguidance {}\n")
+
+
+def test_each_grammar_reads_its_part_of_the_same_contract_and_holds_the_bounds() -> None:
+    steps = '[{"skill":"grasp","params":{"object":"red_cube","speed":0.1}}]'
+    whole = f'{{"id":"c-0007","context":{{"robot":"panda","registry":"{REGISTRY.hash}"}},"action_sequence":{steps}}}'
+    grammars = {actions_grammar: '"action_sequence":', tail_grammar: '"action_sequence', contract_grammar: ""}
+    for make, given in grammars.items():
+        rest = whole.partition(given)[2] if given else whole
+        assert reads(make(request().schema), rest)
+        assert not reads(make(request().schema), rest.replace("0.1", "9.1"))
+        assert not reads(make(request().schema), rest + " ")

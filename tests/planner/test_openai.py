@@ -1,5 +1,6 @@
 """A server may answer anything or nothing: what comes out is a proposal with a finish reason, never an exception."""
 
+import json
 import time
 from http.server import BaseHTTPRequestHandler
 
@@ -8,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.planner import chat, protocol
+from dualbrain.planner import chat, ollama, protocol
+from dualbrain.planner.grammar import contract_grammar, narrow
 from dualbrain.planner.openai import DIALECTS, ServerConfig, ServerPlanner
 from dualbrain.planner.prompt import render
 from dualbrain.records import Proposal
@@ -62,13 +64,74 @@ def test_a_good_answer_comes_through_with_its_figures() -> None:
     assert body["response_format"]["json_schema"]["strict"] is True
 
 
+def ollama_says(text: str, reason: str = "stop", **told: object) -> Behaviour:
+    """An answer as Ollama writes it."""
+    message = {"role": "assistant", "content": text}
+    figures = {"prompt_eval_count": 90, "eval_count": 12, "eval_duration": 3_000_000_000}
+    return says(json.dumps({"message": message, "done": True, "done_reason": reason} | figures | told).encode())
+
+
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_each_dialect_is_recorded_and_passes_no_words_for_people(dialect: str) -> None:
-    proposal, server = ask(says(completion(CONTRACT)), dialect=dialect)
+    behaviour = ollama_says(CONTRACT) if dialect == "ollama" else says(completion(CONTRACT))
+    proposal, server = ask(behaviour, dialect=dialect)
+    assert (proposal.text, proposal.finish_reason) == (CONTRACT, protocol.STOP)
     assert proposal.constrained_by == DIALECTS[dialect].constrained_by
     body = repr({key: value for key, value in server.asked[0][1].items() if key != "messages"})
     assert "$schema" not in body
     assert ("decline" in body) == (dialect != "free")
+
+
+SCHEMA = narrow(request().schema)
+FIELDS = {
+    "openai": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
+               "schema": SCHEMA}}),
+    "vllm": ("structured_outputs", {"json": SCHEMA}),
+    "llama.cpp": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
+                  "schema": SCHEMA}}),
+    "llguidance": ("grammar", contract_grammar(request().schema)),
+    "ollama": ("format", SCHEMA),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_each_server_gets_the_schema_in_its_own_field_and_in_no_other(dialect: str) -> None:
+    _, server = ask(ollama_says(CONTRACT) if dialect == "ollama" else says(completion(CONTRACT)), dialect=dialect)
+    path, body = server.asked[0]
+    assert path == ("/api/chat" if dialect == "ollama" else "/v1/chat/completions")
+    theirs = {"response_format", "structured_outputs", "grammar", "format", "guided_json", "json_schema"}
+    name, value = FIELDS.get(dialect, ("", None))
+    assert {key: body[key] for key in theirs & body.keys()} == ({name: value} if name else {})
+    assert body["stream"] is False
+    assert body.get("temperature", body.get("options", {}).get("temperature")) == 0.0
+
+
+def test_ollama_is_asked_for_enough_context_and_its_figures_are_read() -> None:
+    proposal, server = ask(ollama_says(CONTRACT), dialect="ollama", model="m")
+    body = server.asked[0][1]
+    assert body["options"]["num_ctx"] >= 8192
+    assert (body["messages"], body["model"]) == (render(request()), "m")
+    assert (proposal.timings["decode"], proposal.timings["prompt_tokens"]) == (3.0, 90)
+    assert ask(ollama_says("{", "length"), dialect="ollama")[0].finish_reason == protocol.LENGTH
+
+
+@pytest.mark.parametrize(
+    "behaviour",
+    [ollama_says(CONTRACT, "load"), ollama_says(CONTRACT, done=False), says(b'{"error":"no such model"}', 404),
+     says(b"[]"), says(b'{"message":{"content":null},"done":true}'), says(completion(CONTRACT))],
+    ids=["odd finish", "not done", "404", "a list", "no text", "another interface"],
+)  # fmt: skip
+def test_a_bad_answer_of_ollama_becomes_a_finish_reason(behaviour: Behaviour) -> None:
+    proposal, _ = ask(behaviour, dialect="ollama")
+    assert (proposal.text, proposal.finish_reason.split(":")[0]) == ("", protocol.ERROR)
+
+
+def test_what_a_server_says_of_itself_is_recorded_in_print() -> None:
+    body = json.loads(completion(CONTRACT)) | {"system_fingerprint": "b7000-abc\n<|im_end|>" + "x" * 400}
+    proposal, _ = ask(says(json.dumps(body).encode()))
+    assert "; b7000-abc" in proposal.constrained_by
+    assert proposal.constrained_by.isprintable()
+    assert len(proposal.constrained_by) < 120
 
 
 @pytest.mark.parametrize("fence", ["```json\n%s\n```", "```\n%s\n```", "\n ```json\n%s```\n"])
@@ -160,3 +223,4 @@ def test_an_unknown_dialect_lists_the_known_ones() -> None:
 @given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 def test_no_bytes_make_the_reader_raise(body: bytes) -> None:
     assert isinstance(chat.read_completion(body), chat.Answer)
+    assert isinstance(ollama.read_chat(body), chat.Answer)

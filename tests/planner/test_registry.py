@@ -38,6 +38,15 @@ def test_an_address_is_asked_for_the_model_after_the_hash_sign(tmp_path: Path) -
     planner.close()
 
 
+@pytest.mark.parametrize("dialect", ["vllm", "llama.cpp", "llguidance", "ollama", "free", "openai"])
+def test_an_address_may_say_what_stands_there(dialect: str, tmp_path: Path) -> None:
+    planner = open_planner(f"{dialect}+http://localhost:8000/v1#qwen", tmp_path)
+    assert isinstance(planner, ServerPlanner)
+    assert (planner.name, planner.dialect) == ("qwen@localhost", dialect)
+    with pytest.raises(UnknownName, match="vllm"):
+        open_planner("tgi+https://localhost/v1", tmp_path)
+
+
 def test_a_script_is_read_in_order_and_its_end_repeats() -> None:
     planner = ScriptedPlanner(["one", "two"])
     assert [planner.propose(request()).text for _ in range(3)] == ["one", "two", "two"]

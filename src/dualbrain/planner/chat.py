@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import socket
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
@@ -30,23 +31,27 @@ class Answer:
     """What came back: `finish` is a finish reason of `protocol`, `detail` explains an error.
 
     `figures` are those that the server told: prefill [s], decode [s], prompt_tokens, cached_tokens, output_tokens.
+    `build` is what it says of itself, "" if nothing.
     """
 
     text: str
     finish: str
     detail: str = ""
     figures: dict[str, float] = field(default_factory=dict)
+    build: str = ""
 
 
-def ask(url: str, body: dict[str, Any], *, key: str, timeout_s: float) -> Answer:
-    """POST `body` to `url` and read a chat completion from the answer, all within `timeout_s`."""
+def ask(
+    url: str, body: dict[str, Any], *, key: str, timeout_s: float, read: Callable[[bytes], Answer] | None = None
+) -> Answer:
+    """POST `body` to `url` and `read` a chat completion from the answer, all within `timeout_s`."""
     reply = post(url, json.dumps(body).encode(), key=key, timeout_s=timeout_s)
     if isinstance(reply, Answer):
         return reply
     status, data = reply
     if status != 200:
-        return Answer("", protocol.ERROR, f"status {status} {_excerpt(data)}".strip())
-    return read_completion(data)
+        return Answer("", protocol.ERROR, f"status {status} {excerpt(data)}".strip())
+    return (read or read_completion)(data)
 
 
 def read_completion(data: bytes) -> Answer:
@@ -58,16 +63,16 @@ def read_completion(data: bytes) -> Answer:
         content, refusal, finish = message.get("content"), message.get("refusal"), choice.get("finish_reason")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
         return Answer("", protocol.ERROR, "not a chat completion")
-    figures = _figures(completion)
+    figures, build = _figures(completion), _build(completion)
     if refusal or finish == "content_filter":
-        return Answer("", protocol.REFUSAL, _excerpt(str(refusal or finish).encode()), figures)
+        return Answer("", protocol.REFUSAL, excerpt(str(refusal or finish).encode()), figures)
     if not isinstance(content, str) or not isinstance(finish, str):
         return Answer("", protocol.ERROR, "no text in the answer", figures)
     if finish in _CUT:
-        return Answer(content, protocol.LENGTH, figures=figures)
+        return Answer(content, protocol.LENGTH, figures=figures, build=build)
     if finish not in _WHOLE:
-        return Answer("", protocol.ERROR, f"finish reason {_excerpt(finish.encode())}", figures)
-    return Answer(content, protocol.STOP, figures=figures)
+        return Answer("", protocol.ERROR, f"finish reason {excerpt(finish.encode())}", figures)
+    return Answer(content, protocol.STOP, figures=figures, build=build)
 
 
 def strip_fence(text: str) -> tuple[str, bool]:
@@ -133,17 +138,23 @@ def _figures(completion: dict[str, Any]) -> dict[str, float]:
         "cached_tokens": (timings.get("cache_n"), 1.0),
         "output_tokens": (usage.get("completion_tokens"), 1.0),
     }
-    counts = {name: (_count(value), scale) for name, (value, scale) in told.items()}
+    counts = {name: (count(value), scale) for name, (value, scale) in told.items()}
     return {name: count * scale for name, (count, scale) in counts.items() if count is not None}
 
 
-def _count(value: object) -> float | None:
+def _build(completion: dict[str, Any]) -> str:
+    """The fingerprint of program and settings that some servers send."""
+    said = completion.get("system_fingerprint")
+    return excerpt(said.encode("utf-8", "replace"))[:40] if isinstance(said, str) else ""
+
+
+def count(value: object) -> float | None:
     """`value` if it is a finite number that is not negative (a server may send anything, 400-digit integers too)."""
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1e12:
         return None
     return float(value)
 
 
-def _excerpt(data: bytes) -> str:
+def excerpt(data: bytes) -> str:
     """The beginning of a server's own words, in printable ASCII."""
     return ascii(data[:120].decode("utf-8", "replace"))[1:-1]

@@ -26,6 +26,12 @@ def tail_grammar(schema: dict[str, Any]) -> str:
     return _grammar(schema, '"\\":" ')
 
 
+def contract_grammar(schema: dict[str, Any]) -> str:
+    """Grammar of a whole contract, for a server that is given no beginning."""
+    whole = narrow(schema) | {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
+    return f"%llguidance {{}}\nstart: %json {json.dumps(whole | {'x-guidance': {'whitespace_flexible': False}})}"
+
+
 def _grammar(schema: dict[str, Any], before: str) -> str:
     actions = narrow(schema["properties"]["action_sequence"])
     actions |= {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}

@@ -12,8 +12,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.planner.chat import Answer, ask, strip_fence
-from dualbrain.planner.grammar import narrow
+from dualbrain.planner.chat import Answer, ask, read_completion, strip_fence
+from dualbrain.planner.grammar import contract_grammar, narrow
+from dualbrain.planner.ollama import chat_address, chat_body, read_chat
 from dualbrain.planner.prompt import render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -28,21 +29,31 @@ class Dialect:
 
 
 def _response_format(schema: dict[str, Any]) -> dict[str, Any]:
-    form = {"name": "contract", "strict": True, "schema": schema}
+    form = {"name": "contract", "strict": True, "schema": narrow(schema)}
     return {"response_format": {"type": "json_schema", "json_schema": form}}
 
 
+OLLAMA = "ollama"
 DIALECTS = {
     "openai": Dialect("response_format json_schema (strict)", _response_format),
-    "vllm": Dialect("structured_outputs json (vLLM)", lambda schema: {"structured_outputs": {"json": schema}}),
+    "vllm": Dialect(
+        "structured_outputs json (vLLM, its choice of engine)",
+        lambda schema: {"structured_outputs": {"json": narrow(schema)}},
+    ),
     "llama.cpp": Dialect(
         "response_format json_schema (llama.cpp, numeric bounds not enforced)",
         lambda schema: _response_format(schema) | {"cache_prompt": True},
     ),
-    "ollama": Dialect("response_format json_schema (Ollama, numeric bounds not enforced)", _response_format),
+    "llguidance": Dialect(
+        "llguidance in llama.cpp (server)",
+        lambda schema: {"grammar": contract_grammar(schema), "cache_prompt": True},
+    ),
+    OLLAMA: Dialect("format (Ollama, numeric bounds not enforced)", lambda schema: {"format": narrow(schema)}),
     "free": Dialect("nothing (free decoding)", lambda schema: {}),
 }
-"""`openai` is understood by nearly all; `free` asks for no constraint, to measure what a model does by itself."""
+"""`openai` is understood by nearly all. `vllm` is for 0.12 and later, which dropped the older `guided_json`.
+`llguidance` is for a llama.cpp server built with that engine, which keeps numbers in their bounds; one built without
+answers with an error. `free` asks for no constraint, to measure what a model does by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,24 +85,37 @@ class ServerPlanner:
         """Model and host; never the key."""
         return f"{self._config.model}@{urlsplit(self._config.url).hostname}"
 
+    @property
+    def dialect(self) -> str:
+        """Which server it takes for granted."""
+        return self._config.dialect
+
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`; whatever the server does becomes a finish reason."""
         begun = self._clock()
-        url = f"{self._config.url.rstrip('/')}/chat/completions"
-        answer = ask(url, self._body(request), key=self._config.key, timeout_s=self._config.timeout_s)
+        own = self._config.dialect == OLLAMA
+        url = chat_address(self._config.url) if own else f"{self._config.url.rstrip('/')}/chat/completions"
+        answer = ask(
+            url, self._body(request), key=self._config.key, timeout_s=self._config.timeout_s,
+            read=read_chat if own else read_completion,
+        )  # fmt: skip
         return self._proposal(answer, self._clock() - begun)
 
     def close(self) -> None:
         """Nothing is held open."""
 
     def _body(self, request: PlanRequest) -> dict[str, Any]:
+        constraint = self._dialect.constraint(request.schema)
+        if self._config.dialect == OLLAMA:
+            return chat_body(self._config.model, render(request), self._config.max_tokens, constraint["format"])
         limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "stream": False}
         question = {"model": self._config.model, "messages": render(request)}
-        return question | limits | self._dialect.constraint(narrow(request.schema))
+        return question | limits | constraint
 
     def _proposal(self, answer: Answer, total: float) -> Proposal:
         text, fenced = strip_fence(answer.text)
-        constrained_by = self._dialect.constrained_by + ("; code fence stripped" if fenced else "")
+        constrained_by = self._dialect.constrained_by + (f"; {answer.build}" if answer.build else "")
+        constrained_by += "; code fence stripped" if fenced else ""
         finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish
         return Proposal(text, finish, self.name, constrained_by, {**answer.figures, "total": total})
 

@@ -34,12 +34,14 @@ def open_planner(
     """The planner called `name_or_url`, ready to propose.
 
     A name of the manifest (its verified file in `cache`), the path of a GGUF file, or an address such as
-    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`.
+    `http://localhost:8000/v1#model-name`, asked in `dialect` with `key`; `vllm+http://...` says which dialect.
     `prefixes`: see `LlamaConfig`. Raises `UnknownName`, `MissingPart`,
     `WrongHash`, `InvalidSetup`.
     """
     if "://" in name_or_url:
-        url, model = urldefrag(name_or_url)
+        told, plus, bare = name_or_url.partition("+http")
+        dialect, address = (told, f"http{bare}") if plus and "://" not in told else (dialect, name_or_url)
+        url, model = urldefrag(address)
         return ServerPlanner(ServerConfig(url, model or "default", key, dialect, timeout_s=timeout_s))
     config = LlamaConfig(threads=threads, timeout_s=timeout_s, prefixes=prefixes)
     if name_or_url.endswith(".gguf"):

@@ -8,7 +8,7 @@ from dualbrain.adaptation.adapters import BARE, Adapters
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
 from dualbrain.errors import InvalidSetup
 
-PREFIX, CHAMPION, SHADOW = "adapter:", "champion", "shadow:"
+PREFIX, CHAMPION, SHADOW, TORCH = "adapter:", "champion", "shadow:", "transformers:"
 
 
 def is_adapter(name: str) -> bool:

@@ -10,15 +10,16 @@ from dualbrain.adaptation.serving.canary import SCENES, Watch
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.gguf_cache import worn
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.names import PREFIX, SHADOW, folder_of, is_adapter, shadow_parts
+from dualbrain.adaptation.serving.names import PREFIX, SHADOW, TORCH, folder_of, is_adapter, shadow_parts
 from dualbrain.adaptation.serving.packaged import packaged_names
 from dualbrain.adaptation.serving.shadow import Shadowed
 from dualbrain.adaptation.serving.speaking import runtime_of
-from dualbrain.errors import UnknownName
+from dualbrain.errors import MissingPart, UnknownName
 from dualbrain.planner import registry as plain
-from dualbrain.planner.asking import SHORT, Asking
+from dualbrain.planner.asking import FULL, SHORT, Asking
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.protocol import Planner
+from dualbrain.weights import locate
 
 N_CTX = 4096
 """Tokens of context: the longest short prompt with its exemplars and the longest answer fit."""
@@ -32,10 +33,10 @@ def open_planner(
     """The planner called `name`, ready to propose.
 
     `adapter:ID`, `adapter:champion`, the name of a packaged adapter, `shadow:ID@PLANNER` for a candidate that is asked
-    too and heard by nobody; all else as `planner.registry.open_planner` has it, unchanged. `adapters` is the folder of
-    the registry. With `robot` (and the hash `registry` of its vocabulary) an adapter that was not taught them is
-    refused before anything is started. Raises `InvalidSetup`, `UnknownName`,
-    `MissingPart`, `WrongHash`, `NotItself`.
+    too and heard by nobody, `transformers:NAME` for a model or an adapter in torch; all else as
+    `planner.registry.open_planner` has it, unchanged. `adapters` is the folder of the registry. With `robot` (and the
+    hash `registry` of its vocabulary) an adapter that was not taught them is refused before anything is started.
+    Raises `InvalidSetup`, `UnknownName`, `MissingPart`, `WrongHash`, `NotItself`.
     """
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
     if name.startswith(SHADOW):
@@ -46,6 +47,9 @@ def open_planner(
             threads=threads, timeout_s=timeout_s, prefixes=prefixes,
         )  # fmt: skip
         return Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
+    if name.startswith(TORCH):
+        within = (threads, timeout_s)
+        return _in_torch(name.removeprefix(TORCH), cache, adapters, robot=robot, registry=registry, within=within)
     if is_adapter(name):
         return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, config=config)
     try:
@@ -69,6 +73,29 @@ def open_adapter(
     chosen = config or LlamaConfig(n_ctx=N_CTX)
     watch = watch_of(stack, cache, adapters, chosen)
     return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack)), card, watch)
+
+
+def _in_torch(
+    name: str, cache: Path, adapters: Path, *, robot: str, registry: str, within: tuple[int, float]
+) -> Planner:  # fmt: skip
+    """A model of the manifest, or an adapter, in transformers; raises `MissingPart` without the extra."""
+    try:
+        from dualbrain.adaptation.serving.local_transformers import (  # noqa: PLC0415  (only with the extra)
+            TorchConfig,
+            TorchPlanner,
+        )
+    except ModuleNotFoundError as error:
+        fix = "Install it with `pip install 'dualbrain[adapt]'`."
+        raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+    threads, timeout_s = within
+    config = TorchConfig(threads=threads, timeout_s=timeout_s)
+    if not is_adapter(name):
+        return TorchPlanner(f"{name} in torch", Stack(name, locate(name, cache), ()), cache, FULL, config)
+    stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
+    require_prompt(stack.top)
+    if robot:
+        require_fit(stack.top, robot, registry)
+    return TorchPlanner(author(name, stack), stack, cache, SHORT, config)
 
 
 def examine(folder: Path, cache: Path, adapters: Path) -> str:

@@ -1,0 +1,82 @@
+"""The planner in transformers answers as llama.cpp does, bound by the same grammar."""
+
+# ruff: noqa: E402  (nothing is imported where the extras are missing)
+import json
+
+import jsonschema_rs
+import pytest
+
+for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
+    pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
+
+from dualbrain.adaptation.serving import local_transformers
+from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.local_transformers import TorchConfig, TorchPlanner
+from dualbrain.adaptation.serving.opening import open_planner, wear
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.planner import protocol
+from dualbrain.planner.asking import FREE, SHORT
+from dualbrain.planner.llama import LlamaConfig
+from tests.adaptation import tiny_served
+from tests.adaptation.tiny import tokenizer
+from tests.adaptation.tiny_gguf import model
+from tests.planner.questions import REGISTRY, request
+
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
+SHORT_STEPS = {"type": "array", "items": {"enum": ["open", "close"]}, "minItems": 1, "maxItems": 2}
+ASKED = request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A home with the tiny base and an adapter; torch gets the base's weights directly."""
+    tiny_served.base(tmp_path / "cache", monkeypatch)
+    tiny_served.adapter(model("llama"), tmp_path / "fit")
+    monkeypatch.setattr(local_transformers, "open_base", lambda *told: (model("llama"), tokenizer()))
+    return tmp_path
+
+
+def planner(home, asking=SHORT, **config):
+    stack = stack_of(home / "fit", home / "cache")
+    return TorchPlanner("tiny+ab", stack, home / "cache", asking, TorchConfig(**({"max_tokens": 48} | config)))
+
+
+def test_it_says_what_llama_cpp_says(home):
+    ours = planner(home).propose(ASKED)
+    theirs = wear(stack_of(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48))
+    try:
+        assert theirs.propose(ASKED).text == ours.text
+    finally:
+        theirs.close()
+    assert ours.finish_reason == protocol.STOP
+    jsonschema_rs.validator_for(ASKED.schema).validate(json.loads(ours.text))
+    assert "llguidance" in ours.constrained_by
+    assert "transformers" in ours.constrained_by
+    assert planner(home).propose(ASKED).text == ours.text
+
+
+def test_left_free_it_is_bound_by_nothing_and_says_so(home):
+    proposal = planner(home, FREE, max_tokens=8).propose(ASKED)
+    assert proposal.finish_reason == protocol.LENGTH
+    assert proposal.constrained_by == "nothing (free decoding)"
+    assert not proposal.text.startswith('{"id"')
+
+
+def test_a_time_limit_is_a_finish_reason(home):
+    assert planner(home, timeout_s=0.0).propose(ASKED).finish_reason == protocol.TIMEOUT
+
+
+def test_what_it_was_not_taught_is_refused(home):
+    for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
+        with pytest.raises(InvalidSetup):
+            planner(home).propose(request(**wrong))
+
+
+def test_it_is_opened_by_name(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    opened = open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
+    assert isinstance(opened, TorchPlanner)
+    assert opened.name.startswith("tiny+")
+    assert open_planner("transformers:tiny", home / "cache", **told).name == "tiny in torch"
+    with pytest.raises(UnknownName):
+        open_planner("transformers:nobody", home / "cache", **told)
