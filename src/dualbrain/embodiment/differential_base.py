@@ -66,11 +66,15 @@ def pose(q: Array) -> tuple[Array, Vector]:
 
 def drive(q: Array, u: Array, dt: float) -> Array:
     """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …): exactly along the arc."""
-    v, w = float(u[0]), float(u[1])
+    base = arc(float(q[0]), float(q[1]), float(q[2]), float(u[0]), float(u[1]), dt)
+    return np.array([*base, *(q[3:] + dt * u[2:])])
+
+
+def arc(x: float, y: float, heading: float, v: float, w: float, dt: float) -> Vector:
+    """Where a base that stands at (x, y, heading) is after `dt` [s] at constant (v, ω)."""
     half = 0.5 * w * dt
     chord = v * dt * (sin(half) / half if abs(half) > 1e-9 else 1.0)
-    base = (q[0] + chord * cos(q[2] + half), q[1] + chord * sin(q[2] + half), q[2] + w * dt)
-    return np.array([*base, *(q[3:] + dt * u[2:])])
+    return x + chord * cos(heading + half), y + chord * sin(heading + half), heading + w * dt
 
 
 def driven_by(before: Array, after: Array) -> Array:

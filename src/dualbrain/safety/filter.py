@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import cos, sin
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.differential_base import drive, pose
+from dualbrain.embodiment.differential_base import arc
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.safety.batch import Batch, run_batch
@@ -61,6 +62,7 @@ class SafetyFilter:
         self.body, self.config = body, config or FilterConfig()
         self._n = body.n
         self._mobile = body.base == "differential"
+        self._late = (body.base_lag or 0.0) if self.config.lag_compensation else 0.0
         self._barriers = tuple(barriers)
         self._anew = self._mobile or bool(self._barriers)
         self._rows: tuple[Row, ...] = ()
@@ -265,23 +267,27 @@ class SafetyFilter:
         dt/2, its turning joint back by as much: everything is where it is, and the slide points along the chord of
         the arc.
         """
-        lag = self.body.base_lag
-        if lag is None:
+        if self.body.base_lag is None:
             return self._joints(state.q)
-        ahead = drive(state.q, state.v, lag if self.config.lag_compensation else 0.0)
-        half = 0.5 * self.body.period * float(state.v[1])
-        ahead[2] += half
-        chain = self._joints(ahead)
-        chain[1], chain[2:] = -half, state.q[3:]
-        return chain
+        x, y, heading, *joints = state.q.tolist()
+        v, w = state.v[:2].tolist()
+        x, y, heading = arc(x, y, heading, v, w, self._late)
+        half = 0.5 * self.body.period * w
+        self._stand(x, y, heading + half)
+        return np.array([0.0, -half, *joints])
 
     def _joints(self, q: Array) -> Array:
         """The chain's angles (n,) at configuration q; a mobile base stands where q says, its own two joints at zero."""
         if not self._mobile:
             return q
-        rotation, position = pose(q)
-        self._kernel.stand(np.array([*rotation.ravel(), *position]))
-        return np.concatenate([[0.0, 0.0], q[3:]])
+        x, y, heading, *joints = q.tolist()
+        self._stand(x, y, heading)
+        return np.array([0.0, 0.0, *joints])
+
+    def _stand(self, x: float, y: float, heading: float) -> None:
+        """Tell the kernel where the base stands [m, rad]."""
+        c, s = cos(heading), sin(heading)
+        self._kernel.stand(np.array([c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, x, y, 0.0]))
 
     # --- kinematics -------------------------------------------------------------------------------------------
 
