@@ -18,6 +18,7 @@ from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
 from proofs.poisoning import Poisoning
 from proofs.proof import Proof
+from proofs.retention import Retention
 from proofs.robots import Robots
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
@@ -29,7 +30,7 @@ PROOFS: dict[str, Proof] = {
     for proof in (
         Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
         PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
-        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(),
+        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

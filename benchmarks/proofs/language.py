@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -93,7 +94,17 @@ def by_slice(answers: list[dict[str, Any]]) -> list[str]:
          share(sum(map(right, some)), len(some)), followed(some))
         for name, some in parts.items() if some
     )  # fmt: skip
-    return table(("questions", "JSON", "compliant", "right skills in order", "right", "follows the exemplar"), cells)
+    return table(
+        (
+            "questions",
+            "JSON",
+            "compliant",
+            "right skills in order",
+            "right",
+            "open parameters as in the first exemplar",
+        ),
+        cells,
+    )
 
 
 def right(one: dict[str, Any]) -> bool:
@@ -102,9 +113,9 @@ def right(one: dict[str, Any]) -> bool:
 
 
 def followed(answers: list[dict[str, Any]]) -> str:
-    """In how many answers all open parameters that the first exemplar shows are its own."""
-    able = [one["follows"] for one in answers if one["follows"] is not None]
-    return share(sum(able), len(able)) if able else "-"
+    """How many open parameters are those of the first exemplar, where one with like steps is shown."""
+    same, every = (sum(one["taken"][i] for one in answers) for i in (0, 1))
+    return f"{same} of {every}" if every else "-"
 
 
 @cache
@@ -141,7 +152,7 @@ def judged(question: Sample, text: str) -> dict[str, Any]:
         "id": question.id, "scene": question.scene, "text": text, "wanted": question.contract,
         **msgspec.to_builtins(found), "unknown": unknown, "goals": len(wanted) // 2 + len(wanted) % 2,
         "declines": wanted[0].skill == "decline", "shown": len(shown(question)),
-        "follows": follows(question, text) if found.compliant else None,
+        "taken": taken(question, text) if found.skills else (0, 0),
     }  # fmt: skip
 
 
@@ -151,17 +162,21 @@ def shown(question: Sample) -> list[list[Action]]:
     return [msgspec.convert(json.loads(line), list[Action]) for line in lines]
 
 
-def follows(question: Sample, text: str) -> bool | None:
-    """Whether every step takes all its open parameters from a like step of the first exemplar; None if there is none.
+def taken(question: Sample, text: str) -> tuple[int, int]:
+    """Of the open parameters for which the first exemplar has a like step, how many the answer takes, and how many.
 
-    Numbers count as taken if they are equal.
+    Its n-th step of a kind is compared with the exemplar's n-th of that kind, or its last.
     """
     registry = setting_of(question.scene).registry
     first = next(iter(shown(question)), [])
-    told: list[bool] = []
+    same = every = 0
+    turns: Counter[str] = Counter()
     for action in msgspec.json.decode(text, type=Contract).action_sequence:
         said = [name for skill, name in SAID if skill == action.skill]
         models = [free_parameters(registry, one, said) for one in first if one.skill == action.skill]
-        if models and (own := free_parameters(registry, action, said)):
-            told.append(own in models)
-    return all(told) if told else None
+        if models:
+            model = models[min(turns[action.skill], len(models) - 1)]
+            own = free_parameters(registry, action, said)
+            same, every = same + sum(own.get(name) == value for name, value in model.items()), every + len(model)
+        turns[action.skill] += 1
+    return same, every

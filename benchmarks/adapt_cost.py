@@ -1,0 +1,213 @@
+"""What a step of fitting costs: ours plain, ours with the whole objective, and TRL's trainer, on the same samples.
+
+    python benchmarks/adapt_cost.py [--steps 12] [--batch 8] [--trl PYTHON]
+
+Each lives in a process of its own, so that its memory is its own; they take turns, one step each, in an order that
+rotates, so that they share whatever else the machine does. A step is counted in processor seconds (user and system):
+on a machine that others use too, these and their ratios mean something, wall time does not. The first two steps of
+each are not counted. TRL comes from an environment of its own (`--trl`), for its needs are not ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+
+from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
+from dualbrain.adaptation.dataset import Dataset
+from dualbrain.adaptation.lessons.course import DIALS, course, language_judge
+from dualbrain.cli import folders
+
+VARIANTS = ("ours, plain", "ours, whole objective", "TRL SFTTrainer")
+BASE, WARM = "smollm2-135m-instruct", 2
+
+
+def main() -> int:
+    """Print one table."""
+    asked = parse()
+    if asked.variant:
+        work(asked)
+        return 0
+    names = VARIANTS if asked.trl else VARIANTS[:2]
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder) / "data.json"
+        data.write_bytes(msgspec.json.encode(lessons_of(asked)))
+        workers = {name: Worker(name, asked, data) for name in names}
+        told: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+        for turn in range(asked.steps + WARM):
+            for name in (*names[turn % len(names) :], *names[: turn % len(names)]):
+                told[name].append(workers[name].step())
+        for worker in workers.values():
+            worker.close()
+    print("\n".join(report({name: rows[WARM:] for name, rows in told.items()})))
+    return 0
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=12, help="counted steps of each (default 12)")
+    parser.add_argument("--batch", type=int, default=8, help="samples a step (default 8)")
+    parser.add_argument("--threads", type=int, default=1, help="threads of each (default 1)")
+    parser.add_argument("--trl", help="a Python that has trl, torch, transformers, peft and what dualbrain needs")
+    parser.add_argument("--variant", help=argparse.SUPPRESS)
+    parser.add_argument("--data", type=Path, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def lessons_of(asked: argparse.Namespace) -> Dataset:
+    """As many lessons as the steps need."""
+    from dualbrain.runtime.classroom import ROBOTS, lessons  # noqa: PLC0415  (not in the process that only fits)
+    from dualbrain.runtime.vocabulary import vocabulary  # noqa: PLC0415
+
+    rows = lessons((asked.steps + WARM) * asked.batch, "teach")
+    return course(rows, (), {robot: vocabulary(robot) for robot in ROBOTS})
+
+
+def report(told: dict[str, list[dict[str, float]]]) -> list[str]:
+    """Medians, and ratios to the first."""
+    first = median(row["cpu"] for row in told[VARIANTS[0]])
+    lines = ["| | CPU-s a step (median) | to plain | wall s a step | peak memory |", "|---|---|---|---|---|"]
+    for name, rows in told.items():
+        cpu, wall = (median(row[what] for row in rows) for what in ("cpu", "wall"))
+        lines.append(f"| {name} | {cpu:.2f} | {cpu / first:.2f} | {wall:.1f} | {rows[-1]['peak_mb']:.0f} MB |")
+    return lines
+
+
+class Worker:
+    """One variant in its own process, which takes a step when it is told to."""
+
+    def __init__(self, name: str, asked: argparse.Namespace, data: Path) -> None:
+        python = asked.trl if name == VARIANTS[2] else sys.executable
+        command = [python, str(Path(__file__).resolve()), "--variant", name, "--data", str(data)]
+        command += ["--steps", str(asked.steps), "--batch", str(asked.batch), "--threads", str(asked.threads)]
+        path = os.pathsep.join(one for one in sys.path if one)
+        environ = os.environ | {"OMP_NUM_THREADS": str(asked.threads), "HF_HUB_OFFLINE": "1"}
+        environ |= {} if name == VARIANTS[2] else {"PYTHONPATH": path}
+        self._child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environ)
+        self._say("")
+
+    def step(self) -> dict[str, float]:
+        """Processor seconds, wall seconds and peak memory [MB] of the next step."""
+        return self._say("go\n")
+
+    def close(self) -> None:
+        """Let it end."""
+        self._child.kill()
+        self._child.wait()
+
+    def _say(self, word: str) -> dict[str, float]:
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._child.stdin.write(word)
+        self._child.stdin.flush()
+        for line in self._child.stdout:
+            if line.startswith('{"cpu"'):
+                return json.loads(line)
+        raise RuntimeError(f"{self._child.args} ended with {self._child.wait()}")
+
+
+class Turns:
+    """Waits for its turn before each step, and tells what the step before cost."""
+
+    def __init__(self) -> None:
+        self._began: tuple[float, float] = (0.0, 0.0)
+
+    def ready(self) -> None:
+        """Everything is loaded; wait for the first turn."""
+        self._tell(0.0, 0.0)
+
+    def done(self, *_: Any) -> None:
+        """A step is over; wait for the next turn."""
+        cpu, wall = time.process_time() - self._began[0], time.monotonic() - self._began[1]
+        self._tell(cpu, wall)
+
+    def _tell(self, cpu: float, wall: float) -> None:
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps({"cpu": cpu, "wall": wall, "peak_mb": peak}), flush=True)
+        sys.stdin.readline()
+        self._began = (time.process_time(), time.monotonic())
+
+
+def work(asked: argparse.Namespace) -> None:
+    """The life of one variant."""
+    import torch  # noqa: PLC0415
+
+    torch.set_num_threads(asked.threads)
+    dataset = msgspec.json.decode(asked.data.read_bytes(), type=Dataset)
+    objective = ObjectiveDials() if asked.variant == VARIANTS[1] else DIALS.objective
+    steps = asked.steps + WARM
+    fit = FitDials(steps=steps, batch=asked.batch, at_once=asked.batch, save_every=steps, ask_at_most=0)
+    life: Callable[[Dataset, AdaptConfig, Turns], None] = with_trl if asked.variant == VARIANTS[2] else with_ours
+    life(dataset, AdaptConfig(objective=objective, fit=fit), Turns())
+
+
+def with_ours(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
+    """Our own loop."""
+    from dualbrain.adaptation.fitting.base_model import open_base  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.learner import Learner  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.loop import Fit  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.precision import choose  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.taught import prepare  # noqa: PLC0415
+
+    base = find_base(BASE, folders.cache())
+    learner = Learner(*open_base(base, folders.cache(), choose("auto")), config.fit)
+    with tempfile.TemporaryDirectory() as folder:
+        taught = prepare(learner, dataset, config.objective, base.sha256, Path(folder) / "states")
+        fit = Fit(
+            learner, taught, dataset, config, language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic
+        )
+        turns.ready()
+        fit.run(turns.done)
+
+
+def with_trl(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
+    """TRL's trainer with the same adapter, precision, rate and tokens."""
+    import datasets  # noqa: PLC0415
+    import trl  # noqa: PLC0415
+    from transformers import TrainerCallback  # noqa: PLC0415
+
+    from dualbrain.adaptation.fitting.base_model import open_base  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.batch import encode  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.learner import Learner  # noqa: PLC0415
+    from dualbrain.adaptation.fitting.precision import choose  # noqa: PLC0415
+
+    learner = Learner(*open_base(find_base(BASE, folders.cache()), folders.cache(), choose("auto")), config.fit)
+    some = [encode(learner.tokenizer, one, learner.longest) for one in dataset.train]
+    rows = [{"input_ids": [*one.prompt, *one.contract],
+             "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)} for one in some]  # fmt: skip
+    fit = config.fit
+    shape = trl.SFTConfig(
+        output_dir=tempfile.mkdtemp(), max_steps=fit.steps, per_device_train_batch_size=fit.batch,
+        learning_rate=fit.rate, weight_decay=0.0, max_grad_norm=fit.clip, optim="adamw_torch", save_strategy="no",
+        logging_strategy="no", report_to="none", use_cpu=True, bf16=False, gradient_checkpointing=False,
+        completion_only_loss=True, max_length=None, disable_tqdm=True,
+    )  # fmt: skip
+
+    class Handshake(TrainerCallback):
+        def on_train_begin(self, *_: Any, **__: Any) -> None:
+            turns.ready()
+
+        def on_step_end(self, *_: Any, **__: Any) -> None:
+            turns.done()
+
+    trl.SFTTrainer(
+        model=learner.model, args=shape, train_dataset=datasets.Dataset.from_list(rows),
+        processing_class=learner.tokenizer, callbacks=[Handshake()],
+    ).train()  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
