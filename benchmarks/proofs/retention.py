@@ -103,6 +103,7 @@ def taught(beta: float | None, folder: Path) -> Stack:
     dials = msgspec.structs.replace(DIALS, objective=msgspec.structs.replace(DIALS.objective, beta=beta))
     data = course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries)
     adapt(
-        data, dials, find_base(BASE, folders.cache()), language_judge(registries), folder, cache=folders.cache(), clock=time.monotonic, tell=lambda progress: None,
+        data, dials, find_base(BASE, folders.cache()), language_judge(registries), folder, cache=folders.cache(),
+        clock=time.monotonic, tell=lambda progress: None,
     )  # fmt: skip
     return stack_of(folder / "adapter", folders.cache())

@@ -12,7 +12,7 @@ import numpy as np
 
 from dualbrain.adaptation.lessons.kinds import Speech, book, own_sentences
 from dualbrain.adaptation.lessons.lesson import SHOWN, Setting, lesson
-from dualbrain.adaptation.lessons.split import SEEDS, WORDINGS, Part, may_stand
+from dualbrain.adaptation.lessons.split import ROOMS, SEEDS, TABLES, WORDINGS, Part, may_stand
 from dualbrain.adaptation.sample import Sample
 from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.verdict import Accepted
@@ -25,9 +25,9 @@ from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabular
 from dualbrain.world.catalogue import mobile
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.rooms import ROOMS, make_room
+from dualbrain.world.rooms import make_room
 from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.scenes import ALL_FAMILIES, make_scene
+from dualbrain.world.scenes import make_scene
 from dualbrain.world.wordings import kind_of, kinds, spoken, wordings, wordings_hash
 
 ROBOTS = {"panda": 0.6, "ur5e": 0.2, "base": 0.2}
@@ -60,9 +60,9 @@ def length(sample: Sample) -> int:
     return len(sample.prompt[-1]["content"]) + len(sample.contract)
 
 
-def draw_scene(robot: str, part: Part, rng: np.random.Generator, families: tuple[str, ...] = ()) -> SceneSpec:
-    """A scene of `part` for `robot`, of one of `families`; by default of any that the part may use."""
-    seeds, choice = SEEDS[part], families or tuple(ROOMS if mobile(robot) else ALL_FAMILIES)
+def draw_scene(robot: str, part: Part, rng: np.random.Generator) -> SceneSpec:
+    """A scene for `robot` that `part` may use."""
+    seeds, choice = SEEDS[part], ROOMS if mobile(robot) else TABLES
     while True:
         family, seed = choice[int(rng.integers(len(choice)))], int(rng.integers(seeds.start, seeds.stop))
         spec = (make_room if mobile(robot) else make_scene)(family, seed, robot)

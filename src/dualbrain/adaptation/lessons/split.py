@@ -14,6 +14,9 @@ SEEDS: dict[Part, range] = {
 }
 """Seeds of the scenes of each part. Nothing that is reported of a planner's deeds is measured in these scenes: the
 evaluation's are from 30 000, its pilot and start ranges share scenes with these, but no outcome."""
+TABLES = ("bare", "tabletop", "tall", "shelf", "forearm", "edge", "fragile", "tall_ii", "shelf_ii", "forearm_ii")
+ROOMS = ("empty_room", "boxes", "crossing")
+"""Families that lessons are drawn from, by name: families that come later change no lesson."""
 HELD_OUT_FAMILY = "edge"
 """No scene of this task family is taught or checked with."""
 HELD_OUT_CATEGORIES = frozenset({"carton", "bottle"})
