@@ -197,3 +197,47 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
         if seen == 3:
             return
     raise AssertionError("too few of these moments have an answer")
+
+
+def around(w, expected):
+    """The trust box around a control: a fiftieth of v_max to either side, all of a box that is hardly wider."""
+    reach = 0.02 * w.model["v_max"]
+    middle, wide = np.clip(expected, w.low, w.high), w.high - w.low > 4.0 * reach
+    low, high = np.maximum(w.low, middle - reach), np.minimum(w.high, middle + reach)
+    return np.where(wide, low, w.low), np.where(wide, high, w.high), wide.any()
+
+
+@pytest.mark.parametrize("kind", ["still", "everything", "crowd"])
+def test_rows_are_looked_for_where_the_answer_is_expected(kind):
+    """Around the nominal control, and where rows bound the last control around that one; else in the whole box."""
+    rng, seen = np.random.default_rng(17), [0, 0, 0, 0]
+    for _ in range(60):
+        found = asked(rng, 7, 6, kind)
+        if found is None or found[3].status > 1:
+            continue
+        made, model, m, answer, got, w = found
+        for turn in range(2):
+            bound = got["step"]["n_warm"][0] > 0
+            low, high, narrowed = around(w, m.u_prev if turn and bound else m.u_nom)
+            told = got["step"]["trusted"][0]
+            assert told in (0, narrowed)
+            inside = np.all((answer.u >= low) & (answer.u <= high))
+            if told and inside:
+                close(w.trust_low, low, "the trust box")
+                close(w.trust_high, high, "the trust box")
+                seen[2 * turn + int(bound)] += 1
+            if not told:
+                close(w.trust_low, w.low, "the whole box")
+                close(w.trust_high, w.high, "the whole box")
+            was_bound, m.u_prev = bound, np.array(answer.u)
+            answer = moments.step(made, m)
+            got = moments.inside(made, 7, 6)
+            got["step"]["n_warm"] = np.array([float(was_bound)])
+            if answer.status > 1:
+                break
+            box, trust = (
+                (got["step"][a][:7], got["step"][b][:7])
+                for a, b in (("lower", "upper"), ("trust_lower", "trust_upper"))
+            )
+            w = Weighing(model, m, box, trust)
+    assert seen[0] > 2, seen
