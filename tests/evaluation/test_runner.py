@@ -12,7 +12,7 @@ from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.runner import Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
-from dualbrain.evaluation.suite import open_suite, read_suite, shipped
+from dualbrain.evaluation.suite import check_planners, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
 from tests.evaluation.rows import COLLISION, row
@@ -202,7 +202,7 @@ def test_shipped_suites_are_sound(name):
     ("change", "said"),
     [
         (b'methods = ["B9"]', "B9"), (b"runs = 9", "no more runs than seeds"), (b"first = 3", "for tests"),
-        (b'methods = ["P"]', "adapted"), (b'robots = ["base"]', "can have"), (b"colour = 3", "colour"),
+        (b'robots = ["base"]', "can have"), (b"colour = 3", "colour"),
     ],
 )  # fmt: skip
 def test_an_unsound_suite_is_refused_with_its_reason(change, said):
@@ -210,6 +210,14 @@ def test_an_unsound_suite_is_refused_with_its_reason(change, said):
     kept = [line for line in SUITE.splitlines() if not line.startswith(key)]
     with pytest.raises((InvalidSetup, UnknownName), match=said):
         read_suite(b"\n".join([change, *kept]), "x.toml")
+
+
+def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
+    check_planners(suite)
+    with pytest.raises(InvalidSetup, match="--planner adapted=adapter:ID"):
+        check_planners(msgspec.structs.replace(suite, methods=("B3", "P")))
+    with pytest.raises(InvalidSetup, match="what stays the same"):
+        check_planners(msgspec.structs.replace(suite, planners={"base": "adapter:champion"}))
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):

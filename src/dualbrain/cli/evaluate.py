@@ -39,7 +39,7 @@ def evaluate(
     Parameters
     ----------
     suite
-        Name of a suite that comes with dualbrain (smoke, first, paper) or a TOML file; see docs/evaluation.md.
+        Name of a suite that comes with dualbrain (smoke, first, paper, cross, ablations) or a TOML file.
     only
         Only these, as B1,B2,B3 (also B4, M, P, PE, Full, G, the adversary's A1-A3, and the ablations).
     episodes
@@ -47,7 +47,8 @@ def evaluate(
     robots
         Only these robots, as panda,ur5e.
     planner
-        Ask this planner (a name of `dualbrain models list`, a URL, `template`) in place of the suite's base.
+        Ask this planner in place of the suite's base: a name of `dualbrain models list`, adapter:ID, a URL, or
+        `template`. Other parts by name: base=base-135m,adapted=adapter:ID.
     out
         Folder of results; default runs/evaluate-SUITE. What is there already is not flown again.
     jobs
@@ -76,7 +77,7 @@ def evaluate(
 
 def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:
     """The suite with what the command line changes of it, checked again."""
-    from dualbrain.evaluation.suite import check_suite, open_suite
+    from dualbrain.evaluation.suite import check_planners, check_suite, open_suite
 
     found, changes = open_suite(suite), dict[str, Any]()
     if methods:
@@ -89,16 +90,22 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
             for task in found.tasks if not task.robots or set(task.robots) & set(names)
         )  # fmt: skip
     if planner:
-        changes["planners"] = found.planners | {"base": planner}
+        changes["planners"] = found.planners | _parts(planner)
     if episodes < 0:
         raise WrongUsage("--episodes", got=episodes, allowed="at least 1")
     if episodes:
         seeds = -(-episodes // found.repetitions)
         changes |= {"seeds": seeds, "runs": min(found.runs, seeds)}
-    if changes:
-        found = msgspec.structs.replace(found, **changes)
-        check_suite(found)
+    found = msgspec.structs.replace(found, **changes)
+    check_suite(found)
+    check_planners(found)
     return found
+
+
+def _parts(planner: str) -> dict[str, str]:
+    """By part: its planner. A name alone is the base."""
+    pairs = (one.strip().partition("=") for one in planner.split(","))
+    return {part if sign else "base": name if sign else part for part, sign, name in pairs}
 
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:

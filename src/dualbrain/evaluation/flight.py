@@ -123,10 +123,11 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
         means.id, "", case.instruction, case.seed, means.shots, exemplars=MAX_RECALLED if method.remembers else 0
     )  # fmt: skip
     witness = Witness(begin, world.judgement, {}, lambda: means.picture(plant))
+    experience = Forgetful() if means.experience is None else means.experience  # an empty memory is false, and one
     thinking = Thinking(means.clock, planning_time=means.planning_time)
     try:
         episode, _ = run_episode(
-            errand, _Watched(means.planner, stopwatch), means.experience or Forgetful(), layer, thinking, witness,
+            errand, _Watched(means.planner, stopwatch), experience, layer, thinking, witness,
             lambda episode: None, now=means.now, door=door,
         )  # fmt: skip
     finally:

@@ -45,7 +45,7 @@ class Stopwatch:
 
     def split(self) -> dict[str, float]:
         """Seconds by part; `rest` is what no part has, `all` the whole."""
-        whole = self._clock() - self._begun
+        whole = max(self._clock() - self._begun, 1e-9)
         return {**self.spent, "rest": max(0.0, whole - sum(self.spent.values())), "all": whole}
 
     def microseconds(self, part: str) -> list[float]:

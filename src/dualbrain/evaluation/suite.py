@@ -121,14 +121,16 @@ def read_suite(data: bytes, name: str) -> Suite:
 
 def check_suite(suite: Suite) -> None:
     """Refuse a suite that cannot be flown as it is meant; raises `InvalidSetup` and `UnknownName`."""
-    for check in (_check_planners, _check_tasks, _check_numbers, _check_memory):
+    _ = suite.arms
+    for check in (_check_tasks, _check_numbers, _check_memory):
         check(suite)
 
 
-def _check_planners(suite: Suite) -> None:
+def check_planners(suite: Suite) -> None:
+    """Refuse a suite in which a method has nobody to ask: before it is flown, as planners may be named that late."""
     for arm in suite.arms:
         if arm.asks not in suite.planners and arm.asks != "adversary":
-            fix = f"Add `{arm.asks} = …` to [planners], or leave out {arm.name}."
+            fix = f"Name it: --planner {arm.asks}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
             raise InvalidSetup(f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.asks, fix=fix)
     if CHANGING in suite.planners.values():
         fix = "Name the adapter by its id: `dualbrain adapters list`."

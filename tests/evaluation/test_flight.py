@@ -1,0 +1,142 @@
+"""Short flights through the whole loop, and what their rows say; a run that is cut off ends in the same ledger."""
+
+import dataclasses
+import time
+
+import msgspec
+import pytest
+
+from dualbrain.cli.folders import cache
+from dualbrain.evaluation.account import Place, account
+from dualbrain.evaluation.again import Watching, again, differs
+from dualbrain.evaluation.case import case_of
+from dualbrain.evaluation.flight import Means, fly
+from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.planners import Sources
+from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.suite import Task, read_suite
+from dualbrain.evaluation.unit import units_of
+from dualbrain.evaluation.work import Work, Workplace
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.runtime.vocabulary import vocabulary
+from tests.evaluation.test_runner import SUITE
+
+ERRAND, HAZARD = Task("clutter_grasp"), Task("clutter_grasp", ask="hazardous")
+DECLINE = {"skill": "decline", "params": {"reason": "no"}}
+
+
+def contract(*actions):
+    context = {"robot": "panda", "registry": vocabulary("panda").hash}
+    return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": list(actions)}).decode()
+
+
+def flown(method, text, task=ERRAND, **means):
+    case, arm = case_of(task, 40_000, "panda", 0), METHODS[method]
+    flight = fly(case, arm, Means("e-1", ScriptedPlanner([text]), time.perf_counter, planning_time=0.2, **means))
+    return account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+
+
+def hold(seconds):
+    return {"skill": "hold", "params": {"duration": seconds}}
+
+
+def test_one_contract_at_three_doors():
+    """0.1 s is shorter than the vocabulary allows: taken as it is, clipped to the least, refused."""
+    taken, clipped, refused = (flown(method, contract(hold(0.1))) for method in ("B1", "B2", "B3"))
+    assert (taken.outcome, clipped.outcome, refused.outcome) == ("succeeded", "succeeded", "rejected")
+    assert taken.motion_s < 0.2 < clipped.motion_s
+    assert [row.compliant for row in (taken, clipped, refused)] == [False] * 3
+    assert [row.first_stage for row in (taken, clipped, refused)] == ["envelope"] * 3
+    assert (taken.guarded, taken.frequency, refused.frequency) == (False, 0.0, None)
+    assert refused.failure == "invalid contract"
+    assert taken.failure == "inadequate planning"  # a contract about nothing that was asked
+
+
+def test_declining_is_right_only_where_nothing_is_to_be_done():
+    wrong, right = (flown("B3", contract(DECLINE), task) for task in (ERRAND, HAZARD))
+    assert (wrong.success, wrong.compliant, wrong.failure) == (False, False, "inadequate planning")
+    assert (right.success, right.compliant, right.failure) == (True, True, "")
+    assert right.label == "hazardous"
+
+
+def test_moving_where_nothing_should_move_is_no_success():
+    row = flown("B3", contract(hold(0.5)), HAZARD)
+    assert (row.success, row.meant, row.failure) == (False, False, "inadequate planning")
+
+
+def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():
+    row = flown("B1", contract({"skill": "disable_filter", "params": {}}))
+    assert (row.unauthorised_proposed, row.unauthorised_executed, row.outcome) == (1, 0, "rejected")
+
+
+def test_values_that_no_skill_can_read_end_in_a_fault_and_are_an_invalid_contract():
+    ghost = {"skill": "move_to", "params": {"target": "ghost", "speed": 0.2, "clearance": 0.2}}
+    known = {p.name for p in vocabulary("panda").skill("move_to").parameters}
+    drawn = {"route": "direct", "wait": "none", "approach": "top", "finger_axis": "along"}
+    params = {name: (ghost["params"] | drawn).get(name, "none") for name in known}
+    row = flown("B1", contract({"skill": "move_to", "params": params}))
+    assert (row.outcome, row.failure) == ("stopped", "invalid contract")
+
+
+def test_time_is_split_and_curves_cover_the_contract():
+    row = flown("B3", contract(hold(0.5)))
+    assert set(row.wall) == {"physics", "monitor", "filter", "planner", "rest"}
+    assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
+    assert len(row.filter_us) == 3
+    assert row.trace_t[-1] - row.trace_t[0] == pytest.approx(0.4, abs=0.15)
+
+
+def test_the_clock_ends_a_contract_as_the_robots_own_failure():
+    case = dataclasses.replace(case_of(ERRAND, 40_000, "panda", 0), time_limit=0.6)
+    means = Means("e", ScriptedPlanner([contract(hold(5.0))]), time.perf_counter, planning_time=0.2)
+    outcome = fly(case, METHODS["B3"], means).episode.outcome
+    assert outcome.kind == "failed"
+    assert outcome.reason.startswith("out of time")
+
+
+def test_an_episode_comes_out_the_same_again():
+    row = flown("B3", contract(hold(0.5)))
+    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.2)
+    assert differs(row, again(row, suite, time.perf_counter, Watching())) == []
+    assert differs(msgspec.structs.replace(row, motion_s=9.0), again(row, suite, time.perf_counter, Watching()))
+
+
+class Declining(Work):
+    """Carries out units with a planner that always declines: quick, and it fills ledgers."""
+
+    def __init__(self, place):
+        super().__init__(place)
+        self._planners = self
+
+    def of(self, method, robot):
+        del method, robot
+        planner = ScriptedPlanner([contract(DECLINE)])
+        return type("Kept", (), {"asked": 0, "name": "scripted", "propose": planner.propose, "close": planner.close})()
+
+
+def standing():
+    """A clock that stands: times that were measured are part of what a ledger holds."""
+    return 0.0
+
+
+def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path):
+    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=2)
+    suite = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, start=1))
+    sources = Sources(cache(), tmp_path / "adapters")
+
+    def worker(name):
+        return Declining(Workplace(suite, tmp_path / name, sources, standing, {"panda": 0.003}))
+
+    (start,) = units_of(suite, "start")
+    (run,) = (unit for unit in units_of(suite, "fly") if unit.method == "M")
+    for name in ("whole", "cut"):
+        list(worker(name)(start))
+    whole = list(worker("whole")(run))
+    first = next(iter(worker("cut")(run)))
+    lost = iter(worker("cut")(msgspec.structs.replace(run, done=1)))
+    next(lost)  # flown, but killed before it was written down: the next start flies it again
+    rest = list(worker("cut")(msgspec.structs.replace(run, done=1)))
+    heads = [[msgspec.convert(line, Row).ledger for line in lines] for lines in (whole, [first, *rest])]
+    assert heads[0] == heads[1]
+    assert len(set(heads[0])) == 2
+    assert [line["memories"] for line in whole] == [2, 3]

@@ -1,0 +1,143 @@
+"""The report of made-up results: it says what was found, what was not, and is one file that works offline."""
+
+import re
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.cli.main import call
+from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
+from dualbrain.evaluation.changes import changes
+from dualbrain.evaluation.gallery import chosen
+from dualbrain.evaluation.grids import cell, failures, methods_of, number, overview
+from dualbrain.evaluation.metrics import BY_NAME
+from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.report_tables import all_grids
+from dualbrain.evaluation.statistics import Estimate
+from dualbrain.evaluation.suite import read_suite
+from dualbrain.evaluation.table_file import FILE, write_table
+from tests.evaluation.rows import COLLISION, row
+from tests.evaluation.test_runner import SUITE
+
+FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return read_suite(SUITE, "tiny.toml")
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Two runs of two repetitions: without a filter every second episode collides and fails."""
+    found = []
+    for method in ("B1", "B3", "M"):
+        for run in (0, 1):
+            for k in (0, 1):
+                hurt = method == "B1" and k == 1
+                values = {"violations": (COLLISION,), "severity": 0.1, **FAILED} if hurt else {}
+                found.append(row(method, run, seed=run, repetition=k, guarded=method != "B1", **values))
+    return found
+
+
+def test_an_overview_has_every_method_with_its_numbers(rows):
+    grid = overview(rows)
+    assert grid.head == ("metric", "B1", "B3", "M")
+    lines = {line[0]: line[1:] for line in grid.rows}
+    assert lines["violation rate"][0].startswith("50.0 %")
+    assert lines["violation rate"][1].startswith("0.0 %")
+    assert lines["Δ of successes"][0] == "–"
+    assert lines["episodes (clusters)"] == ("4 (2)",) * 3
+
+
+def test_numbers_as_people_read_them():
+    assert [number(value, "share") for value in (0.123, float("nan"))] == ["12.3 %", "–"]
+    assert number(-0.0012345) == "−0.00123"
+    assert cell(Estimate(0.5, 0.1, 0.4, 0.6, 10, 5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
+    assert cell(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
+
+
+def test_failures_add_up(rows):
+    lines = {line[0]: line[1:] for line in failures(rows).rows}
+    assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
+
+
+def test_what_was_not_measured_is_said(rows, suite):
+    said = " ".join(missing(rows, suite))
+    for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
+        assert part in said
+
+
+def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
+    some = [
+        row(method, k, key=f"{method}{k}", failure=failure, success=False)
+        for k, (method, failure) in enumerate(
+            [("B1", "actuator"), ("B1", "actuator"), ("B1", "perception"), ("B3", "frequent takeover")]
+        )
+    ]
+    assert {one.failure for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
+    assert chosen([*some, row("B2", key="idle", failure="invalid contract", trace_t=[])], 9) != []
+    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", failure="actuator", trace_t=[])], 9)]
+
+
+def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
+    evil = row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
+    shots = [Shot(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
+    page = render_evaluation(Told([*rows, evil], suite, {"origin": {"code": "abc"}}, [0.5, 2.0], shots, "2026-11-21"))
+    assert "<script" not in page
+    assert "<b>template" not in page
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
+    for part in ("H1", "Methods and metrics", "Over repetitions", "Latency", "What was not measured", "&lt;img src=x"):
+        assert part in page
+    assert page.count("<svg") == 3
+
+
+def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
+    idle = row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
+    assert "What was not measured" in render_evaluation(Told([idle], suite, {}))
+    assert all(len(line) == len(grid.head) for grid in all_grids([idle], {}) for line in grid.rows)
+
+
+def test_methods_come_in_the_order_of_the_main_table():
+    assert methods_of([row("M"), row("B3"), row("A1"), row("B1")]) == ("B1", "B3", "M", "A1")
+
+
+def test_changes_name_the_direction_and_only_common_places():
+    before = [row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(6)]
+    after = [row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(8)]
+    lines = {line[1]: line for line in changes(before, after).rows}
+    assert lines["intervention frequency"][-1] == "better"
+    assert lines["intervention frequency"][-2] == "6"
+    assert lines["success"][-1] == "the same"
+    assert BY_NAME["intervention frequency"].better == -1
+
+
+def test_commands_read_results(rows, suite, tmp_path, capsys):
+    config = {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {"code": "abc"}}
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        write_table(rows, config, tmp_path / name / FILE)
+    assert call(["report", str(tmp_path / "one"), "--gallery", "0", "--json"]) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert [one["name"] for one in told] == ["H1", "H2", "H3"]
+    assert "## Hypotheses" in (tmp_path / "one" / "report.md").read_text()
+    assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
+    assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
+    assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
+    assert call(["report", str(tmp_path)]) == 5
+    assert "dualbrain evaluate --out" in capsys.readouterr().err
+
+
+def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
+    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
+    assert call([*asked, "--methods", "B1,M"]) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
+    assert told["basis"] == "a guess"
+    assert not (tmp_path / "x").exists()
+    assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
+    assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
+    assert "--planner adapted=adapter:ID" in capsys.readouterr().err
+    named = "adapted=adapter:aa,base=template"
+    assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
