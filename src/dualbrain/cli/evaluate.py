@@ -83,12 +83,7 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
     if methods:
         changes["methods"] = tuple(name.strip() for name in methods.split(","))
     if robots:
-        names = tuple(name.strip() for name in robots.split(","))
-        changes["robots"] = names
-        changes["tasks"] = tuple(
-            msgspec.structs.replace(task, robots=tuple(r for r in task.robots if r in names))
-            for task in found.tasks if not task.robots or set(task.robots) & set(names)
-        )  # fmt: skip
+        changes |= _flown_by(found, tuple(name.strip() for name in robots.split(",")))
     if planner:
         changes["planners"] = found.planners | _parts(planner)
     if episodes < 0:
@@ -100,6 +95,18 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
     check_suite(found)
     check_planners(found)
     return found
+
+
+def _flown_by(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
+    """The suite's tasks that one of `robots` can have, for these alone."""
+    alone = msgspec.structs.replace(suite, robots=robots)
+    own = (msgspec.structs.replace(one, robots=tuple(r for r in one.robots if r in robots)) for one in suite.tasks)
+    kept = [
+        new
+        for old, new in zip(suite.tasks, own, strict=True)
+        if bool(old.robots) == bool(new.robots) and alone.robots_of(new)
+    ]
+    return {"robots": robots, "tasks": tuple(kept)}
 
 
 def _parts(planner: str) -> dict[str, str]:

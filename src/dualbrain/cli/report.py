@@ -50,8 +50,7 @@ def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
     shots = [] if blind or not count else _shots(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    asked = [row.planner_s for row in rows if row.asked]
-    asked += [kept.proposal.timings.get("total", 0.0) for kept in Plans(folder / PLANS).all()]
+    asked = [kept.proposal.timings.get("total", 0.0) for kept in Plans(folder / PLANS).all()]  # each question once
     date = datetime.now(UTC).strftime("%Y-%m-%d")
     command = f"dualbrain evaluate --suite {suite.name} --out {folder.name}"
     told = Told(rows, suite, config, asked, shots, date, command)
