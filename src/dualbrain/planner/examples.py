@@ -19,105 +19,102 @@ class WorkedExample(NamedTuple):
     actions: tuple[dict[str, Any], ...]
 
 
-def _grasp(name: str, **changed: Any) -> dict[str, Any]:
+def grasp(name: str, **changed: Any) -> dict[str, Any]:
+    """A grasp with the usual parameters, some of them `changed`."""
     params = {"object": name, "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.08}
     params |= {"approach": "top", "wait": "none", "force": 15}
     return {"skill": "grasp", "params": params | changed}
 
 
-def _place(destination: str, **changed: Any) -> dict[str, Any]:
+def place(destination: str, **changed: Any) -> dict[str, Any]:
+    """A placing with the usual parameters, some of them `changed`."""
     params = {"destination": destination, "speed": 0.2, "clearance": 0.15, "route": "direct", "wait": "none"}
     return {"skill": "place", "params": params | changed}
 
 
-def _scene(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
+def table(things: str, person: str = "none", places: str = "shelf_front, shelf_back") -> str:
+    """The summary of a table with `things` and a tray."""
     return f"robot panda; holding nothing\n{things}\nwhite_tray: container\nperson: {person}\nplaces: {places}"
 
 
 DECLINING = WorkedExample(
-    _scene("brown_jar: object, free_finger_axis along, path_max_height none"),
+    table("brown_jar: object, free_finger_axis along, path_max_height none"),
     "put the purple cup on the tray",
     ({"skill": "decline", "params": {"reason": "there is no purple cup in the scene"}},),
 )
 
 FETCHING = (
     WorkedExample(
-        _scene("grey_bag: object, free_finger_axis along, path_max_height none"),
+        table("grey_bag: object, free_finger_axis along, path_max_height none"),
         "could you move the grey bag over to the tray, please?",
-        (_grasp("grey_bag"), _place("white_tray")),
+        (grasp("grey_bag"), place("white_tray")),
     ),
     WorkedExample(
-        _scene("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
+        table("brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low"),
         "the brown jar should go on the tray, can you move it there?",
-        (_grasp("brown_jar", finger_axis="across"), _place("white_tray")),
+        (grasp("brown_jar", finger_axis="across"), place("white_tray")),
     ),
     WorkedExample(
-        _scene(
-            "beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"
-        ),
+        table("beige_mug: object, free_finger_axis along, neighbour_across hand_high 3-6cm, path_max_height hand_high"),
         "please move the beige mug over onto the tray",
-        (_grasp("beige_mug", clearance=0.2), _place("white_tray", clearance=0.2)),
+        (grasp("beige_mug", clearance=0.2), place("white_tray", clearance=0.2)),
     ),
     WorkedExample(
-        _scene("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
+        table("brown_jar: object, free_finger_axis across, tight, neighbour_along tall >6cm, path_max_height tall"),
         "could you move that brown jar over to the tray?",
         (
-            _grasp("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
-            _place("white_tray", clearance=0.3),
+            grasp("brown_jar", clearance=0.3, finger_axis="across", approach="tilted"),
+            place("white_tray", clearance=0.3),
         ),
     ),
     WorkedExample(
-        _scene("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
+        table("grey_bag: object, free_finger_axis along, neighbour_across tall >6cm, path_max_height tall"),
         "move the grey bag onto the tray",
-        (_grasp("grey_bag", clearance=0.3), _place("white_tray", clearance=0.3)),
+        (grasp("grey_bag", clearance=0.3), place("white_tray", clearance=0.3)),
     ),
     WorkedExample(
-        _scene("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
+        table("beige_mug: object, free_finger_axis along, path_max_height low, overhead over_path"),
         "would you move the beige mug over to the tray?",
-        (_grasp("beige_mug", clearance=0.1), _place("white_tray", clearance=0.1, route="near_base")),
+        (grasp("beige_mug", clearance=0.1), place("white_tray", clearance=0.1, route="near_base")),
     ),
     WorkedExample(
-        _scene(
+        table(
             "grey_bag: object, free_finger_axis across, neighbour_along low <3cm, "
             "path_max_height low, overhead over_path"
         ),
         "the grey bag goes on the tray, move it over please",
         (
-            _grasp("grey_bag", clearance=0.1, finger_axis="across"),
-            _place("white_tray", clearance=0.1, route="near_base"),
+            grasp("grey_bag", clearance=0.1, finger_axis="across"),
+            place("white_tray", clearance=0.1, route="near_base"),
         ),
     ),
     WorkedExample(
-        _scene(
-            "ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"
-        ),
+        table("ivory_tin: object, free_finger_axis along, neighbour_across low 3-6cm, path_max_height low", "crossing"),
         "could you move the ivory tin over onto the tray? watch out for my arm",
         (
-            _grasp("ivory_tin", clearance=0.2, wait="until_clear"),
-            _place("white_tray", clearance=0.2, wait="until_clear"),
+            grasp("ivory_tin", clearance=0.2, wait="until_clear"),
+            place("white_tray", clearance=0.2, wait="until_clear"),
         ),
     ),
     WorkedExample(
-        _scene(
-            "ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"
-        ),
+        table("ivory_tin: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height low", "crossing"),
         "the ivory tin belongs on the tray, please move it over",
         (
-            _grasp("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
-            _place("white_tray", clearance=0.2, wait="until_clear"),
+            grasp("ivory_tin", clearance=0.2, finger_axis="across", wait="until_clear"),
+            place("white_tray", clearance=0.2, wait="until_clear"),
         ),
     ),
     WorkedExample(
-        _scene(
+        table(
             "grey_bag: object, free_finger_axis along, path_max_height low\n"
             "brown_jar: object, free_finger_axis across, neighbour_along low 3-6cm, path_max_height none"
         ),
         "move the grey bag to the tray and the brown jar to the front of the shelf, then go home",
         (
-            _grasp("grey_bag"),
-            _place("white_tray"),
-            _grasp("brown_jar", finger_axis="across"),
-            _place("shelf_front"),
+            grasp("grey_bag"),
+            place("white_tray"),
+            grasp("brown_jar", finger_axis="across"),
+            place("shelf_front"),
             {"skill": "home", "params": {"speed": 0.2}},
         ),
     ),

@@ -12,10 +12,10 @@ import hashlib
 import json
 from typing import Any, TypedDict
 
-from dualbrain.planner import base_prompt
-from dualbrain.planner.examples import WORKED_EXAMPLES, WorkedExample, fitting
+from dualbrain.planner import base_prompt, long_horizon
+from dualbrain.planner.examples import DECLINING, WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.request import PlanRequest
-from dualbrain.planner.setback import setback_words
+from dualbrain.planner.setback import LEAD, SETBACK_VERSION, setback_words
 from dualbrain.planner.untrusted import block, compact_json, sanitise
 from dualbrain.records import Exemplar
 
@@ -98,6 +98,16 @@ def template_hash() -> str:
     return hashlib.sha256(json.dumps(fixed, sort_keys=True).encode()).hexdigest()[:16]
 
 
+def beside_hash() -> str:
+    """First 16 hex digits of the SHA-256 of the fixed text that stands in some questions only (`template_hash` beside).
+
+    That of several goals, and that of planning again. Single first questions hold none of it.
+    """
+    fixed = [SETBACK_VERSION, LEAD, long_horizon.LONG_HORIZON_VERSION, long_horizon.LEAD, long_horizon.RULES]
+    examples = [list(example) for of in long_horizon.EXAMPLES.values() for example in of]
+    return hashlib.sha256(json.dumps([fixed, examples], sort_keys=True).encode()).hexdigest()[:16]
+
+
 def _split_names(skills_text: str) -> tuple[str, str]:
     """The lines that name what is in the scene, and the rest, which is the same for every scene."""
     lines = skills_text.splitlines()
@@ -112,6 +122,9 @@ def _examples(request: PlanRequest) -> list[WorkedExample]:
     left = MAX_EXEMPLARS - len(usable)
     if _drives(request):
         return [*base_prompt.EXAMPLES[-left:], *usable[::-1]] if left else usable[::-1]
+    if wanted := long_horizon.needs(request):
+        beside = long_horizon.examples(wanted, max(1, left - 1))
+        return [DECLINING, *beside, *usable[::-1]][-MAX_EXEMPLARS:]
     return [*fitting(request.scene, request.instruction, left), *usable[::-1]]
 
 
@@ -143,6 +156,8 @@ def _last_question(request: PlanRequest, names: str) -> str:
     scene = f"{request.scene}\n{names}" if names else request.scene
     parts = [part for part in (_knowledge(request), *warnings) if part]
     parts.append(_question(scene, request.instruction, request.contract_id))
+    if wanted := long_horizon.needs(request):
+        parts.insert(-1, long_horizon.rules(wanted))
     if request.setback is not None:
         parts.insert(-1, setback_words(request.setback))
     if request.refusal is not None:

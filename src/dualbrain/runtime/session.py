@@ -30,7 +30,7 @@ from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.runs import InterruptedRun
 from dualbrain.memory.store import Memory, StoreReport
-from dualbrain.planner.prompt import MAX_RECALLED, template_hash
+from dualbrain.planner.prompt import MAX_RECALLED, beside_hash, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, Passage, Setback
 from dualbrain.runtime.charted import open_map, with_places
@@ -51,12 +51,12 @@ from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import kernel_hash
 from dualbrain.safety.site import site_body, site_grants, site_obstacles
 from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.agenda import errand_of
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.pictures import Camera
 from dualbrain.world.scene_spec import save_scene
-from dualbrain.world.task import goal_of
 
 FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """What a run leaves in its folder."""
@@ -93,7 +93,7 @@ class Session:
         self.standing = site_obstacles(self.body, site) if site else ()
         self.grants = site_grants(site, frozenset(registry_of(self.body).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
-        goal = goal_of(config.goal, self.spec) if config.goal else None
+        goal = errand_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
         self._eyes = ImageEncoder(weights.locate(IMAGE_WEIGHTS, config.cache)) if config.eyes else None
         self.planner = planner or self._open_planner(environ)
@@ -253,7 +253,8 @@ class Session:
     def _versions(self) -> dict[str, str]:
         return {
             "dualbrain": __version__, "kernel": kernel_hash(), "mujoco": metadata.version("mujoco"),
-            "prompt": template_hash(), "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
+            "prompt": template_hash(), "beside": beside_hash(),
+            "plant": self.plant.model_source, "filter": "on" if self.config.guard else "off",
         } | origin(self.planner)  # fmt: skip
 
     def __enter__(self) -> Self:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Judgement, Scene
 from dualbrain.runtime.vocabulary import PLANNER
+from dualbrain.world.agenda import Agenda, AgendaReferee
 from dualbrain.world.arrival import Arrival, At
 from dualbrain.world.handling import unharmed
 from dualbrain.world.monitor import Monitor
@@ -36,7 +37,7 @@ class SimulatedWorld:
         plant: Plant,
         perception: Perception,
         *,
-        goal: Goal | At | None = None,
+        goal: Goal | At | Agenda | None = None,
         pace: Callable[[float], None] | None = None,
         permitted: frozenset[str] | None = None,
     ) -> None:
@@ -76,7 +77,7 @@ class SimulatedWorld:
         for action in contract.action_sequence:
             if self._permitted is not None and action.skill not in self._permitted:
                 self.monitor.called(action.skill, PLANNER)
-        goal = own_goal(contract)
+        goal = own_goals(contract)
         if self._referee is None and goal is not None:
             self._referee = referee(self.plant, goal)
 
@@ -98,9 +99,25 @@ class SimulatedWorld:
         return Judgement(success, progress, violations)
 
 
-def referee(plant: Plant, goal: Goal | At) -> Referee | Arrival:
+def referee(plant: Plant, goal: Goal | At | Agenda) -> Referee | Arrival | AgendaReferee:
     """Who judges `goal`."""
+    if isinstance(goal, Agenda):
+        return AgendaReferee(plant, goal)
     return Arrival(plant, goal) if isinstance(goal, At) else Referee(plant, goal)
+
+
+def own_goals(contract: Contract) -> Goal | At | Agenda | None:
+    """Everything that the contract grasps and then places and every place that it drives to, in its order."""
+    thing: str | None = None
+    stages: list[tuple[Goal | At]] = []
+    for action in contract.action_sequence:
+        if action.skill == "grasp":
+            thing = str(action.params["object"])
+        elif action.skill == "place" and thing is not None:
+            stages.append((Goal(thing, str(action.params["destination"])),))
+        elif action.skill == "drive_to":
+            stages.append((At(str(action.params["place"])),))
+    return Agenda(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None
 
 
 def own_goal(contract: Contract) -> Goal | At | None:

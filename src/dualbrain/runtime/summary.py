@@ -37,11 +37,28 @@ def summarise(scene: Scene, holding: str | None = None) -> str:
         return _room(scene)
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
     lines += [_object_line(scene, thing) for thing in scene.objects if thing.role == "object"]
-    lines += [f"{thing.name}: container" for thing in scene.objects if thing.role == "container"]
+    containers = (thing for thing in scene.objects if thing.role == "container")
+    lines += [f"{thing.name}: container{_held_in(scene, thing)}" for thing in containers]
     lines.append(f"person: {_person(scene)}")
     if scene.places:
         lines.append("places: " + ", ".join(place.name for place in scene.places))
     return "\n".join(lines)
+
+
+def _held_in(scene: Scene, container: SceneObject) -> str:
+    """What lies in a container; nothing is said of one that is free."""
+    bowl = container.shape
+    if not isinstance(bowl, Bowl):
+        return ""
+    x, y, z = container.pose.position
+    lying = [
+        thing.name
+        for thing in scene.objects
+        if thing.role == "object"
+        and np.hypot(thing.pose.position[0] - x, thing.pose.position[1] - y) < bowl.radius - bowl.wall
+        and 0.0 < thing.pose.position[2] - z < bowl.height + 0.01
+    ]
+    return f", holds {' and '.join(lying)}" if lying else ""
 
 
 def _room(scene: Scene) -> str:

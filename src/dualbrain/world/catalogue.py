@@ -8,7 +8,7 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.world.rooms import ROOMS, make_room
 from dualbrain.world.scene_spec import SceneSpec, load_scene
-from dualbrain.world.scenes import ALL_FAMILIES, make_scene
+from dualbrain.world.scenes import EVERY_FAMILY, make_scene
 from dualbrain.world.workroom import WORKROOMS, make_workroom
 
 HAZARDS = ("forearm", "tabletop", "tall", "shelf")
@@ -48,7 +48,7 @@ def _families(robot: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     body = load_body(robot)
     if body.carries_arm:
         return (*WORKROOMS, *ROOMS), WORKROOMS
-    return (tuple(ROOMS), ROOM_HAZARDS) if body.mobile else (tuple(ALL_FAMILIES), HAZARDS)
+    return (tuple(ROOMS), ROOM_HAZARDS) if body.mobile else (tuple(EVERY_FAMILY), HAZARDS)
 
 
 def _make(family: str, seed: int, robot: str) -> SceneSpec:

@@ -126,13 +126,14 @@ def placed(plant: Plant, goal: Goal) -> bool:
     thing, spec = plant.spec.find(goal.thing), plant.spec
     containers = {item.name: item for item in spec.things if isinstance(item.shape, Bowl)}
     if goal.destination in containers:
-        return _inside(at, plant.truth(goal.destination).position, containers[goal.destination].shape)
+        return inside(at, plant.truth(goal.destination).position, containers[goal.destination].shape)
     spot = spec.place(goal.destination).position
     on_table = at[2] < thing.position[2] + 0.02
     return bool(np.hypot(at[0] - spot[0], at[1] - spot[1]) < NEAR_PLACE and at[2] > 0.0 and on_table)
 
 
-def _inside(at: Vector, bowl_at: Vector, bowl: object) -> bool:
+def inside(at: Vector, bowl_at: Vector, bowl: object) -> bool:
+    """Whether a thing whose middle is `at` lies in a bowl whose bottom is at `bowl_at` [m]."""
     assert isinstance(bowl, Bowl)
     radial = float(np.hypot(at[0] - bowl_at[0], at[1] - bowl_at[1]))
     return radial < bowl.radius - bowl.wall and 0.0 < at[2] - bowl_at[2] < bowl.height + 0.01

@@ -23,10 +23,10 @@ from dualbrain.records import Judgement
 from dualbrain.runtime.gatekeeper import bus
 from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
 from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.world.agenda import errand_of
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.task import goal_of
 
 WATCHDOG = 0.1
 """No command for this long [s]: the drive goes off."""
@@ -76,7 +76,7 @@ class RobotProcess:
         self.plant = open_plant(spec, body)
         perception = Perception(spec, Noise(), np.random.default_rng([settings.seed, 1]))
         self.world = SimulatedWorld(
-            self.plant, perception, goal=goal_of(settings.goal, spec) if settings.goal else None
+            self.plant, perception, goal=errand_of(settings.goal, spec) if settings.goal else None
         )
         self._wire: Wire[bus.ToRobot] = Wire(link, bus.to_robot)
         self._settings, self._period, self._asked_to_quit = settings, body.period, False
