@@ -93,9 +93,10 @@ class Clerk:
     def _work(self) -> None:
         while (case := self._cases.get()) is not None:
             start = time.monotonic()
-            self._rulings.put(Ruling(case, self._judge(case), time.monotonic() - start))
+            self._rulings.put(Ruling(case, self.judge(case), time.monotonic() - start))
 
-    def _judge(self, case: Case) -> Verdict:
+    def judge(self, case: Case) -> Verdict:
+        """The gate's word on `case`; what makes the gate raise is refused."""
         try:
             limb, principal = self._limb, case.stamp.principal
             limb.holding = case.holding
