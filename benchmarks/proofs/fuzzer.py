@@ -26,7 +26,7 @@ TOKEN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')
 NUMBERS = (b"0", b"-1", b"0.05", b"0.2", b"0.35", b"0.9", b"30", b"1e308", b"1e999", b"-0.0", b"NaN")
 WORDS = (
     b'""', b'"red_cube"', b'"green_tin"', b'"blue_bowl"', b'"table_left"', b'"across"', b'"tilted"', b'"until_clear"',
-    b'"grasp"', b'"release"', b'"c-0002"', b'"\ud800"', b'"' + b"x" * 300 + b'"',
+    b'"grasp"', b'"release"', b'"c-0002"', b'"\\ud800"', b'"' + b"x" * 300 + b'"',
 )  # fmt: skip
 OTHER = (b"null", b"true", b"[]", b"{}", b"[" * 600)
 LIKE = 0.8

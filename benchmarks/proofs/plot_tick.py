@@ -36,8 +36,8 @@ def _intervals(axis: Axes, row: Row) -> None:
     axis.bar(1e3 * BIN * (np.arange(last + 1) + 0.5), counts, width=1e3 * BIN, color=BLUE)
     axis.axvline(1e3 * SIMULATED.period, color="0.3", lw=0.8, ls="--")
     axis.set_yscale("log")
-    axis.set_xlabel(f"interval between two ticks [ms] (longest {1e3 * row['interval'][3]:.1f} ms)")
-    axis.set_ylabel(f"of {row['ticks']} ticks")
+    axis.set_xlabel(f"interval between two joint states [ms] (longest {1e3 * row['interval'][3]:.1f} ms)")
+    axis.set_ylabel(f"of {row['ticks']} states")
 
 
 def _parts(axis: Axes, parts: dict) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.runtime.gatekeeper.histogram import BINS
 from dualbrain.runtime.gatekeeper.laps import PARTS
 from dualbrain.runtime.gatekeeper.metronome import BIN, Punctuality
 from dualbrain.runtime.gatekeeper.robot_process import Report
@@ -88,38 +89,34 @@ def await_report(path: Path) -> Report:
             time.sleep(0.05)
 
 
-def lost_periods(bins: dict[str, int], longest: float) -> int:
-    """How many periods no tick began in: an interval of k periods (rounded) has lost k − 1."""
-    last = max(map(int, bins), default=0)
-    middles = ((longest if int(k) == last else BIN * (int(k) + 0.5), count) for k, count in bins.items())
-    return sum(max(0, round(middle / SIMULATED.period) - 1) * count for middle, count in middles)
-
-
 def _account(row: Row) -> list[str]:
-    ticks, longest = row["ticks"], row["interval"][3]
-    lost, late, states = lost_periods(row["bins"], longest), row["late"], row["missed"]
+    states, loops = row["robot_ticks"], row["parts"]["door"]["ticks"]
+    beyond, longest = row["bins"].get(str(BINS - 1), 0), row["interval"][3]
+    lost, late = states - loops, row["late"]
     lines = [
-        f"**{ticks}** ticks in one run. States of the robot that never came: **{states}**. Periods in which no tick "
-        f"began: **{lost}** ({lost / max(1, ticks):.3%}). Late ticks (over {1e3 * SIMULATED.overrun:g} ms of work): "
-        f"**{late}** ({late / max(1, ticks):.3%}). Physics fell behind the clock {row['slips']} times.", "",
-        f"![Intervals between ticks, and what a tick is made of]({PICTURE})", "",
+        f"In one run: **{states}** periods of the robot, **{loops}** control ticks; **{lost}** ticks missed "
+        f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
+        f"{1e3 * SIMULATED.overrun:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
+        f"{1e3 * BIN * BINS:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
+        f"{row['slips']} times.", "",
+        f"![Intervals between states, and what a tick is made of]({PICTURE})", "",
     ]  # fmt: skip
     head = ("", "median", "99 %", "99.9 %", "longest")
     lines += table(head, ((name, *_milliseconds(row[name])) for name in ("interval", "work", "latency")))
     lines += [
-        "Interval: from one joint state to the next. Work: from a state to the end of its tick. Latency: from a state "
-        "to the command that answers it. What the work is made of:", "",
+        "Interval: from one joint state to the next, as they are taken in. Work: from a state to the end of its tick. "
+        "Latency: from a state to the command that answers it. What the work is made of:", "",
     ]  # fmt: skip
     head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest")
-    return lines + table(head, _parts(row["parts"])) + _meanwhile(row)
+    return lines + table(head, _parts(row["parts"], loops)) + _meanwhile(row)
 
 
-def _parts(parts: dict[str, Any]):
+def _parts(parts: dict[str, Any], loops: int):
     for name, what in PARTS.items():
         part = parts[name]
         if part["ticks"] and name != "wait":
             times = (part["mean"], *part["quantiles"])
-            yield (name, what, part["ticks"], *(f"{1e6 * value:.0f} µs" for value in times))
+            yield (name, what, f"{part['ticks'] / loops:.1%}", *(f"{1e6 * value:.0f} µs" for value in times))
 
 
 def _meanwhile(row: Row) -> list[str]:

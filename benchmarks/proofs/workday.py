@@ -53,12 +53,12 @@ import sys
 from websockets.sync.client import connect
 pieces = size = 0
 try:
-    with connect(sys.argv[1], subprotocols=[sys.argv[2]], max_size=None) as link:
+    with connect(sys.argv[1], subprotocols=[sys.argv[2]], max_size=None, ping_interval=None) as link:
         for piece in link:
             pieces, size = pieces + 1, size + len(piece)
             print(pieces, size, flush=True)
-except Exception:
-    pass
+except Exception as why:
+    print(f"the page ended: {type(why).__name__}", file=sys.stderr)
 """
 """A page that takes everything it is sent, as a browser does, and draws nothing: there is no display here."""
 
@@ -151,6 +151,7 @@ def _command(link: GatekeeperLink, decided: Queue[bytes], day: Workday, until: f
 
 
 def _given(link: GatekeeperLink, destination: str, number: int) -> bytes:
+    """Fetch the red cube and put it down at `destination`; just put it down, where it is held already."""
     context: dict[str, Any] = {"robot": link.welcome.robot, "registry": link.welcome.registry}
-    actions = errand(speed=SPEED, destination=destination)
+    actions = errand(speed=SPEED, destination=destination)[link.look().holding is not None :]
     return msgspec.json.encode({"id": f"c-{number % 10_000:04d}", "context": context, "action_sequence": actions})
