@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.contracts.contract import Action, Contract
+from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.memory.doubt import ALPHA, RIGHT
 from dualbrain.records import Capsule, Outcome, Pose, SceneObject
 from dualbrain.runtime.desk import as_specified
@@ -91,6 +91,24 @@ def test_the_eyes_agree_or_disagree_with_the_skills() -> None:
     assert _told(scene, "no_cube", "blue_bowl", "succeeded") == "none"
     assert _told(scene, "red_cube", "blue_bowl", "aborted") == "none"
     assert second_opinion(scene, None, Outcome("succeeded", "")) == "none"
+
+
+@pytest.mark.parametrize(("second", "word"), [("blue_bowl", "agrees"), ("table_left", "disagrees")])
+def test_of_several_things_each_must_be_where_it_was_placed_last(second: str, word: str) -> None:
+    """Each names a thing and where; the cube is in the bowl all the time, the block only if that was asked."""
+    scene = as_specified(open_scene("sorting:0"))
+    bowl = scene.find("blue_bowl").pose
+    inside = tuple(
+        msgspec.structs.replace(thing, pose=bowl) if thing.colour == "red" else thing for thing in scene.objects
+    )
+    steps = [("red_block", "table_front"), ("red_block", second), ("red_cube", "blue_bowl")]
+    actions = [
+        action for thing, where in steps
+        for action in (Action("grasp", {"object": thing}), Action("place", {"destination": where}))
+    ]  # fmt: skip
+    contract = Contract("c-0001", Context("panda", "x" * 8), tuple(actions))
+    after = msgspec.structs.replace(scene, objects=inside)
+    assert second_opinion(after, contract, Outcome("succeeded", "")) == word
 
 
 def test_the_rule_is_told_in_words(tmp_path: Path) -> None:

@@ -20,29 +20,29 @@ ARM_ONLY = ("move_to", "home", "hold", "drive_to", "turn_to", "stop")
 def second_opinion(scene: Scene, contract: Contract | None, outcome: Outcome) -> SecondOpinion:
     """Whether `scene`, as perceived after the motion, agrees with a success or failure; "none" if it cannot tell.
 
-    It judges the last thing that the contract grasps and then places; if that is not seen, it has no word. Of a
-    contract that moves nothing but the arm there is nothing to be seen: the joint encoders are word enough.
+    It judges everything that the contract grasps and then places, each where it was placed last: after a success all of
+    it must be there, after a failure some of it not; what is not seen it has no word on. Of a contract that moves
+    nothing but the arm there is nothing to be seen: the joint encoders are word enough.
     """
     if contract is None or outcome.kind not in ("succeeded", "failed"):
         return "none"
     if all(action.skill in ARM_ONLY for action in contract.action_sequence):
         return "agrees"
-    wanted = _last_placed(contract)
-    if wanted is None:
+    there = [_is_at(scene, *wanted) for wanted in _placed(contract).items()]
+    if not there or None in there:
         return "none"
-    there = _is_at(scene, *wanted)
-    if there is None:
-        return "none"
-    return "agrees" if there == (outcome.kind == "succeeded") else "disagrees"
+    return "agrees" if all(there) == (outcome.kind == "succeeded") else "disagrees"
 
 
-def _last_placed(contract: Contract) -> tuple[str, str] | None:
-    thing, found = None, None
+def _placed(contract: Contract) -> dict[str, str]:
+    """Where each thing that is grasped and then placed should be in the end."""
+    thing: str | None = None
+    found: dict[str, str] = {}
     for action in contract.action_sequence:
         if action.skill == "grasp":
             thing = str(action.params["object"])
         elif action.skill == "place" and thing is not None:
-            found = thing, str(action.params["destination"])
+            found[thing] = str(action.params["destination"])
     return found
 
 
