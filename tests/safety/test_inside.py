@@ -207,12 +207,12 @@ def around(w, expected):
     return np.where(wide, low, w.low), np.where(wide, high, w.high), wide.any()
 
 
-@pytest.mark.parametrize("kind", ["still", "everything", "crowd"])
-def test_rows_are_looked_for_where_the_answer_is_expected(kind):
+@pytest.mark.parametrize(("kind", "n"), [("still", 7), ("everything", 8), ("crowd", 8), ("everything", 3)])
+def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
     """Around the nominal control, and where rows bound the last control around that one; else in the whole box."""
     rng, seen = np.random.default_rng(17), [0, 0, 0, 0]
     for _ in range(60):
-        found = asked(rng, 7, 6, kind)
+        found = asked(rng, n, 6, kind)
         if found is None or found[3].status > 1:
             continue
         made, model, m, answer, got, w = found
@@ -231,13 +231,13 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind):
                 close(w.trust_high, w.high, "the whole box")
             was_bound, m.u_prev = bound, np.array(answer.u)
             answer = moments.step(made, m)
-            got = moments.inside(made, 7, 6)
+            got = moments.inside(made, n, 6)
             got["step"]["n_warm"] = np.array([float(was_bound)])
             if answer.status > 1:
                 break
             box, trust = (
-                (got["step"][a][:7], got["step"][b][:7])
+                (got["step"][a][:n], got["step"][b][:n])
                 for a, b in (("lower", "upper"), ("trust_lower", "trust_upper"))
             )
             w = Weighing(model, m, box, trust)
-    assert seen[0] > 2, seen
+    assert sum(seen) > 3, seen
