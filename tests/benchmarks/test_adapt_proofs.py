@@ -1,0 +1,74 @@
+"""The proofs about adaptation: what they count, on answers made up here; no model is asked."""
+
+import json
+
+import pytest
+from proofs import adapt_curve, language, proposals, retention
+
+from dualbrain.runtime.classroom import lessons
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return lessons(40, "test", seed=3, robots={"panda": 1.0}, exemplars=1.0)
+
+
+def with_params(sample, **params):
+    told = json.loads(sample.contract)
+    for step in told["action_sequence"]:
+        step["params"] |= {name: value for name, value in params.items() if name in step["params"]}
+    return json.dumps(told)
+
+
+def test_the_right_answer_counts_and_what_it_took_from_the_exemplar(drawn):
+    sample = next(one for one in drawn if '"place"' in one.contract and '"grasp"' in str(language.shown(one)[0]))
+    found = language.judged(sample, sample.contract)
+    assert language.right(found)
+    first = language.shown(sample)[0]
+    grasp = next(action for action in first if action.skill == "grasp")
+    free = {name: value for name, value in grasp.params.items() if name != "object"}
+    same, every = language.taken(sample, with_params(sample, **free))
+    assert every >= len(free)
+    assert same >= len(free)
+    odd, _ = language.taken(sample, with_params(sample, speed=0.123, clearance=0.123, force=12.3))
+    assert odd <= same - 3
+
+
+def test_nonsense_counts_for_nothing(drawn):
+    for text in ("", "[]", "{", '{"id":1}'):
+        found = language.judged(drawn[0], text)
+        assert not language.right(found)
+        assert found["taken"] == (0, 0)
+
+
+def test_tables_name_every_slice_and_arm(drawn):
+    answers = [language.judged(one, one.contract) for one in drawn]
+    text = "\n".join(language.by_slice(answers))
+    assert "| all | 40 of 40" in text
+    assert "to be declined" in text
+    rows = [
+        {"arm": arm, "seed": seed, "steps": 150, "valid_draws": 0.5, "answers": [{"slice": n, **one} for one in answers
+         for n in adapt_curve.SLICES], "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
+        for arm in adapt_curve.TAUGHT for seed in adapt_curve.SEEDS
+    ]  # fmt: skip
+    report = "\n".join(adapt_curve.AdaptCurve().report(rows))
+    for arm in adapt_curve.TAUGHT:
+        assert f"| {arm} | 150 | 3 | 100% ± 0%" in report
+    assert adapt_curve.interval([0.0, 0.1, 0.2]) == "10% ± 25%"
+
+
+def test_proposals_ask_for_deeds_and_differ_by_seed():
+    some, others = proposals.proposals(0, 4), proposals.proposals(1, 4)
+    assert len(some) == len(others) == 4
+    assert not {one.id for one in some} & {one.id for one in others}
+    for one in some:
+        assert "<example>" not in one.prompt[-1]["content"]
+        assert '"decline"' not in one.contract
+        assert proposals.instruction_of(one)
+
+
+def test_a_known_answer_holds_one_of_the_words():
+    assert retention.known("It has Eight legs.", "eight|8")
+    assert not retention.known("It has many legs.", "eight|8")
+    rows = [{"arm": arm, "perplexity": 9.5, "right": [True, False]} for arm in retention.ARMS]
+    assert "| before | 9.50 | 1 of 2" in "\n".join(retention.Retention().report(rows))
