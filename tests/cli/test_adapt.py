@@ -2,14 +2,21 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
 from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
+from dualbrain.cli import adapt as command
+from dualbrain.cli import when_idle
 from dualbrain.cli.exits import Exit
+from dualbrain.memory.events import ADAPTER, AdapterUse
+from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
-from tests.adaptation.episodes import episode, remember, several, summary
+from dualbrain.runtime.idleness import Machine
+from dualbrain.runtime.low_load import Pace
+from tests.adaptation.episodes import CONFIG, episode, remember, several, summary
 
 
 @pytest.fixture
@@ -84,3 +91,28 @@ def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
     code, _, err = tell("adapt", "--out", "fit")
     assert code == Exit.SETUP
     assert "The vocabulary has changed" in err
+
+
+def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("dualbrain.cli.memory_open.encoder", lambda: HashingEncoder(32))
+    monkeypatch.setattr("dualbrain.cli.memory_open.config", lambda opened: CONFIG)
+    tell("adapt", "--export", "set")
+    dataset = read_dataset(tmp_path / "set")
+    card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
+    command._note(card, dataset, ledger)
+    with LedgerReader(ledger) as opened:
+        (event,) = opened.events(f"kind = '{ADAPTER}'")
+    noted = msgspec.json.decode(event.payload, type=AdapterUse)
+    assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
+    command._note(card, dataset, tmp_path / "none.sqlite")
+    assert "not written into the ledger" in capsys.readouterr().err
+
+
+def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    told = {"robot": "panda", "base": "smollm2-135m-instruct", "config": None, "json": False}
+    code = when_idle.adapt_when_idle(
+        ledger=tmp_path / "none.sqlite", out=tmp_path / "out", pace=Pace(look=0.05, calm=0.0), **told
+    )
+    assert code == Exit.SETUP
+    assert "none.sqlite" in capfd.readouterr().err

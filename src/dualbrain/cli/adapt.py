@@ -14,7 +14,7 @@ from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.memory_open import reader, tell
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart
 
 DATASET = "dataset"
 
@@ -24,7 +24,7 @@ Flag = Annotated[bool, Parameter(negative="")]
 def adapt(
     *, robot: str = "panda", base: str = "smollm2-135m-instruct", ledger: Path | None = None,
     config: Path | None = None, out: Path | None = None, export: Path | None = None, dry_run: Flag = False,
-    json: Flag = False,
+    when_idle: Flag = False, json: Flag = False,
 ) -> int:  # fmt: skip
     """Learn from what went well: choose the clean episodes of a robot and fit an adapter of the planner on them.
 
@@ -48,9 +48,16 @@ def adapt(
         Write the data set there (JSON lines in prompt-completion form, and its card), and fit nothing.
     dry_run
         Only say what would be used, and what not and why.
+    when_idle
+        Fit only while the robot rests, the machine has little to do and no battery runs down; halted at once else.
     json
         Print one JSON object on stdout.
     """
+    if when_idle and not (dry_run or export):
+        from dualbrain.cli.when_idle import adapt_when_idle
+
+        folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
+        return adapt_when_idle(robot=robot, base=base, ledger=ledger, config=config, out=folder, json=json)
     from dualbrain.adaptation.config import AdaptConfig, read_config
     from dualbrain.runtime.vocabulary import vocabulary
 
@@ -59,7 +66,7 @@ def adapt(
         from dualbrain.adaptation.dataset import read_dataset
 
         Account().print(f"going on with the data set in {out}")
-        return _fit(read_dataset(out / DATASET), dials, registry, base, out, json=json)
+        return _fit(read_dataset(out / DATASET), dials, registry, base, out, ledger, json=json)
     dataset = _chosen(ledger, registry, dials, json=json and (dry_run or export is not None))
     if dry_run:
         return Exit.SUCCESS
@@ -70,7 +77,7 @@ def adapt(
         return Exit.SUCCESS
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
     write_dataset(dataset, folder / DATASET)
-    return _fit(dataset, dials, registry, base, folder, json=json)
+    return _fit(dataset, dials, registry, base, folder, ledger, json=json)
 
 
 def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> Any:
@@ -88,7 +95,9 @@ def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> An
     return dataset
 
 
-def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, json: bool) -> int:
+def _fit(
+    dataset: Any, dials: Any, registry: Any, base: str, folder: Path, ledger: Path | None, *, json: bool
+) -> int:  # fmt: skip
     """Fit an adapter, with its progress on stderr."""
     from dualbrain.adaptation.bases import find_base
     from dualbrain.adaptation.compliance import gate_judge
@@ -104,10 +113,27 @@ def _fit(dataset: Any, dials: Any, registry: Any, base: str, folder: Path, *, js
         clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
     )  # fmt: skip
     registry_of_adapters().add(folder / "adapter", now=time.time())
+    _note(card, dataset, ledger)
     account.print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
     if json:
         tell(card)
     return Exit.SUCCESS
+
+
+def _note(card: Any, dataset: Any, ledger: Path | None) -> None:
+    """Write into the ledger which memories the adapter was taught, so that an audit finds what a bad one reached.
+
+    The adapter is there already: that this cannot be written is told, and undoes nothing.
+    """
+    from dualbrain.cli.memory_open import memory
+    from dualbrain.memory.curation import note_adapter
+
+    names = sorted({row.memory for row in dataset.train})
+    try:
+        with memory(ledger, writing="adapt") as opened:
+            note_adapter(opened, card.id, card.dataset, names, now=time.time())
+    except DualbrainError as error:
+        Account().print(f"not written into the ledger: {error}")
 
 
 def adapt_with_torch() -> Any:

@@ -79,6 +79,29 @@ class WriterLock:
             self._file.close()
 
 
+def holder_of(ledger: Path) -> Holder | None:
+    """Who writes `ledger`, None if nobody does; takes no lock, so that nobody is kept out by being looked at.
+
+    Holders write themselves into the file and empty it when they let go; one that was killed counts as gone.
+    """
+    try:
+        with ledger.with_name(ledger.name + ".lock").open("rb") as file:
+            holder = _read_holder(file)
+    except OSError:
+        return None
+    return holder if holder is not None and _alive(holder.pid) else None
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # somebody else's
+        return True
+    return True
+
+
 def _taken(file: BinaryIO) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

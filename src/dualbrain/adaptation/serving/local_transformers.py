@@ -19,6 +19,7 @@ import jsonschema_rs
 import torch
 from peft import PeftModel
 
+from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
 from dualbrain.adaptation.serving.bound_decoding import BoundDecoding, OutOfTime, llguidance, vocabulary_of
@@ -30,6 +31,16 @@ from dualbrain.planner.asking import FREE_BY, Asking
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.weights import find_file
+
+
+def dressed(stack: Stack, cache: Path) -> tuple[Any, Any]:
+    """Model and tokenizer in float32; the top adapter is worn, what lies below is part of the base, as when fitted."""
+    below = tuple(layer.folder for layer in stack.layers[:-1])
+    base = Base(stack.base, stack.gguf, find_file(stack.base).sha256, below)
+    model, tokenizer = open_base(base, cache, torch.float32)
+    if stack.layers:
+        model = PeftModel.from_pretrained(model, str(stack.layers[-1].folder)).eval()
+    return model, tokenizer
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +116,7 @@ class TorchPlanner:
 
     def _load(self) -> tuple[Any, Any, Any]:
         if self._loaded is None:
-            stack = self.stack
-            model, tokenizer = open_base(stack.gguf, find_file(stack.base).sha256, self._cache, torch.float32)
-            for number, layer in enumerate(stack.layers):
-                model = PeftModel.from_pretrained(model, str(layer.folder)).eval()
-                if number < len(stack.layers) - 1:  # what lies below is part of the base, as when it was fitted
-                    model = model.merge_and_unload()
+            model, tokenizer = dressed(self.stack, self._cache)
             self._loaded = model, tokenizer, vocabulary_of(tokenizer)
         return self._loaded
 

@@ -1,0 +1,107 @@
+"""Do torch and llama.cpp say the same with one adapter? Held-out questions, greedy and free, side by side.
+
+    python benchmarks/serving_equality.py [ADAPTER] [--count 30] [--threads 1] [--out FILE]
+
+ADAPTER is the name of a packaged adapter or a folder that a fit made (default base-135m). The reference is torch in
+float32 with the adapter as peft wears it, on the dequantised base; llama.cpp has the untouched GGUF and the converted
+adapter. Equal means: the same text. Where they part, the margin between torch's best and second best token tells
+whether it was a near-tie. One JSON row a question; wanted: at least 28 of 30 equal, the others at near-ties.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.fitting.batch import prompt_ids
+from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.local_transformers import dressed
+from dualbrain.adaptation.serving.names import folder_of
+from dualbrain.adaptation.serving.opening import N_CTX, wear
+from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.cli.folders import cache, home
+from dualbrain.planner.asking import FREE
+from dualbrain.planner.llama import LlamaConfig
+from dualbrain.runtime.classroom import lessons
+
+LONGEST = 320
+NEAR = 0.5
+"""A parting below this margin [nats] is a near-tie."""
+
+
+def main() -> int:
+    """Exit code 1 if fewer are equal than wanted, or one parts where torch was sure."""
+    asked = parse(sys.argv[1:])
+    name = asked.adapter if "/" in asked.adapter else f"adapter:{asked.adapter}"
+    stack = stack_of(folder_of(name, Adapters(home() / "adapters")), cache())
+    questions = lessons(asked.count, "test", robots={stack.top.robot: 1.0})
+    torch.set_num_threads(asked.threads)
+    model, tokenizer = dressed(stack, cache())
+    planner = wear(stack, cache(), LlamaConfig(threads=asked.threads, n_ctx=N_CTX), asking=FREE)
+    rows: list[dict[str, Any]] = []
+    try:
+        for number, one in enumerate(questions, start=1):
+            said, began = say(planner, one.prompt, longest=LONGEST), time.monotonic()
+            assert isinstance(said, Said), said
+            text, margins, tokens = of_torch(model, tokenizer, one.prompt)
+            rows.append(compared(one.id, said, text, tokens, margins) | {"torch_s": time.monotonic() - began})
+            print(f"{number}/{asked.count} {json.dumps(rows[-1])}", file=sys.stderr, flush=True)
+    finally:
+        planner.close()
+    equal, sure = sum(row["equal"] for row in rows), [r for r in rows if not r["equal"] and r["margin"] > NEAR]
+    if asked.out:
+        asked.out.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    least = statistics.median(row["least_margin"] for row in rows)
+    print(
+        f"{stack.top.id[:16]} on {stack.base}: {equal} of {len(rows)} texts equal; least margin of a text {least:.2f}"
+    )
+    for row in (row for row in rows if not row["equal"]):
+        words = f"{row['torch']!r} | {row['llama']!r}"
+        print(f"  {row['question']} parts at token {row['at']}, {row['margin']:.3f} nats apart: {words}")
+    return 0 if equal >= len(rows) - 2 and not sure else 1
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("adapter", nargs="?", default="base-135m")
+    parser.add_argument("--count", type=int, default=30)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    return parser.parse_args(arguments)
+
+
+@torch.no_grad()
+def of_torch(model: Any, tokenizer: Any, turns: list[dict[str, str]]) -> tuple[str, list[float], list[int]]:
+    """Greedy text, margins of its tokens [nats], and their ids."""
+    ids = torch.tensor([prompt_ids(tokenizer, turns)])
+    told = model.generate(
+        input_ids=ids, attention_mask=torch.ones_like(ids), max_new_tokens=LONGEST, do_sample=False,
+        temperature=None, top_p=None, top_k=None, pad_token_id=tokenizer.eos_token_id, output_logits=True,
+        eos_token_id=tokenizer.eos_token_id, return_dict_in_generate=True,
+    )  # fmt: skip
+    best = [logits[0].log_softmax(-1).topk(2).values for logits in told.logits]
+    tokens = told.sequences[0, ids.shape[1] :].tolist()
+    text = tokenizer.decode(tokens, skip_special_tokens=True)
+    return text, [float(pair[0] - pair[1]) for pair in best], tokens
+
+
+def compared(question: str, said: Said, text: str, tokens: list[int], margins: list[float]) -> dict[str, Any]:
+    """One row; where the texts part, `at` counts tokens and `margin` is torch's there."""
+    row: dict[str, Any] = {"question": question, "equal": said.text == text, "least_margin": min(margins)}
+    if said.text != text:
+        pairs = enumerate(zip(said.tokens, tokens, strict=False))
+        at = next((place for place, (ours, theirs) in pairs if ours != theirs), min(len(said.tokens), len(tokens)) - 1)
+        row |= {"at": at, "margin": margins[at], "torch": text[-80:], "llama": said.text[-80:]}
+    return row
+
+
+if __name__ == "__main__":
+    sys.exit(main())

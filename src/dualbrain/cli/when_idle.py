@@ -1,0 +1,49 @@
+"""dualbrain adapt --when-idle: the fit as a process of its own, in the robot's and the machine's idle time."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from dualbrain.cli.console import Account
+from dualbrain.cli.exits import Exit
+from dualbrain.cli.folders import home
+from dualbrain.cli.memory_open import ledger_path
+from dualbrain.runtime.idleness import look, robot_at_work, why_not_now
+from dualbrain.runtime.low_load import LowLoad, Pace
+
+
+def adapt_when_idle(
+    *, robot: str, base: str, ledger: Path | None, config: Path | None, out: Path, json: bool, pace: Pace | None = None
+) -> int:
+    """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself."""
+    threads, where = _threads(config), ledger_path(ledger)
+
+    def start() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(command(robot, base, ledger, config, out, json=json), start_new_session=True)
+
+    def why_not(own: int | None) -> str:
+        at_work = robot_at_work(where, (home() / "gatekeeper.sock",), own=own)
+        return why_not_now(look(), at_work, own_threads=threads if own is not None else 0)
+
+    code = LowLoad(start, why_not, Account().print, clock=time.monotonic, sleep=time.sleep, pace=pace).run()
+    return Exit(code) if code in set(Exit) else Exit.SETUP
+
+
+def command(robot: str, base: str, ledger: Path | None, config: Path | None, out: Path, *, json: bool) -> list[str]:
+    """The same command without waiting; with its --out it goes on where it was."""
+    told: dict[str, Path | str | None] = {
+        "--robot": robot, "--base": base, "--ledger": ledger, "--config": config, "--out": out,
+    }  # fmt: skip
+    words = [word for name, value in told.items() if value is not None for word in (name, str(value))]
+    code = "import sys; from dualbrain.cli.main import main; sys.exit(main())"
+    return [sys.executable, "-c", code, "adapt", *words, *(["--json"] if json else [])]
+
+
+def _threads(config: Path | None) -> int:
+    """Processor threads of the fit."""
+    from dualbrain.adaptation.config import AdaptConfig, read_config
+
+    return (read_config(config) if config else AdaptConfig()).fit.threads or 1
