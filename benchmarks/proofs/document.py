@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
 
+from proofs.family_sweep import FAMILIES, SPEED
 from proofs.faults_tables import matrices
 from proofs.journal import Journal
 from proofs.learnable import families
@@ -44,6 +45,9 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             _between(docs / "faults.md", [provenance(rows), "", *matrices(rows)])
         if proof.name == "tick":
             plot_tick(rows[-1], docs / PICTURES / "tick.png")
+        if proof.name == "families":
+            plot(families(rows), docs / "families.png", SPEED, FAMILIES)
+            section += ["", "![Δ by contract, family and seed](families.png)", ""]
         if proof.name == "learning":
             plot_learning(rows, docs / "learning.png")
         sections[proof.name] = section

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
@@ -11,14 +12,16 @@ SPEED = 0.2
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442")
 
 
-def plot(tables: dict[tuple[str, float], Scores], path: Path, speed: float = SPEED) -> None:
-    """One panel a family; contracts sorted by success, then by median Δ; failures lie in the band at the top."""
+def plot(
+    tables: dict[tuple[str, float], Scores], path: Path, speed: float = SPEED, order: Sequence[str] = FAMILIES
+) -> None:
+    """One panel a family in `order`; contracts sorted by success, then median Δ; failures lie in a band at the top."""
     import matplotlib as mpl  # noqa: PLC0415  (heavy)
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
-    shown = [family for family in FAMILIES if (family, speed) in tables]
+    shown = [family for family in order if (family, speed) in tables]
     figure, panels = plt.subplots(1, len(shown), figsize=(4.6 * len(shown), 4.8), sharey=True, squeeze=False)
     for panel, family in zip(panels[0], shown, strict=True):
         _panel(panel, family, tables[family, speed])

@@ -29,18 +29,7 @@ class Camera:
     def __init__(self, plant: Plant, *, width: int = 960, height: int = 720, shadows: bool = False) -> None:
         """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
         self._plant = plant
-        try:
-            self._renderer = mujoco.Renderer(plant.model, height, width)
-        except Exception as error:
-            raise MissingPart(
-                "A GL library for offscreen pictures",
-                fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({error})",
-            ) from error
-        flags = self._renderer.scene.flags
-        flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
-        flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
-        self._option = mujoco.MjvOption()
-        self._option.geomgroup[3] = int(not plant.has_visuals)
+        self._renderer, self._option = open_renderer(plant, width, height, shadows=shadows)
 
     def snap(self, view: str = "front") -> NDArray[np.uint8]:
         """The world now, seen from `view` (front, top or side), as an RGB array (height, width, 3)."""
@@ -62,3 +51,21 @@ class Camera:
     ) -> None:
         """Close."""
         self.close()
+
+
+def open_renderer(
+    plant: Plant, width: int, height: int, *, shadows: bool = False
+) -> tuple[mujoco.Renderer, mujoco.MjvOption]:
+    """An offscreen GL context on `plant`, and what it shows; raises `MissingPart` with the packages to install."""
+    try:
+        renderer = mujoco.Renderer(plant.model, height, width)
+    except Exception as error:
+        raise MissingPart(
+            "A GL library for offscreen pictures",
+            fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({error})",
+        ) from error
+    renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
+    renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
+    option = mujoco.MjvOption()
+    option.geomgroup[3] = int(not plant.has_visuals)
+    return renderer, option

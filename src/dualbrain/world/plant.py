@@ -80,12 +80,16 @@ class Plant:
     def read(self) -> RobotState:
         """The newest state: joints as measured, opening as the mean of both fingers, pad forces by contact."""
         data = self.data
-        left, right = data.sensordata[self._touch].tolist()
         self._sequence += 1
         return RobotState(
             data.time, self._sequence, data.qpos[self._arm].copy(), data.qvel[self._dof].copy(), self._opening(),
-            (left, right), self._enabled,
+            self.pad_forces(), self._enabled,
         )  # fmt: skip
+
+    def pad_forces(self) -> tuple[float, float]:
+        """What the left and the right finger pad feel [N]."""
+        left, right = self.data.sensordata[self._touch].tolist()
+        return (left, right)
 
     def write(self, command: Command) -> None:
         """Hold `command` until the next one; ignored while the drive is disabled."""

@@ -1,0 +1,88 @@
+"""A calibrated RGB-D camera: coloured points in the world, without the robot's own body.
+
+A pixel (i, j) with depth d [m] along the optical axis lies at p = c + R (x d, y d, −d), x = (j + ½ − w/2)/f,
+y = (h/2 − i − ½)/f, f = h / (2 tan(fovy/2)). What is known of the robot is taken out: points within its own spheres at
+the measured joint angles. Nothing here reads which thing a pixel shows.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.world.pictures import open_renderer
+from dualbrain.world.plant import Plant
+
+Array = NDArray[np.float64]
+VIEWS = ("top", "front", "side")
+FAR = 4.0
+"""Depth beyond which nothing is used [m]."""
+SKIN = 0.02
+"""Points this near to one of the robot's own spheres count as the robot [m]."""
+
+
+class DepthCamera:
+    """Looks at one plant from several sides; close it, or use it in a `with` block."""
+
+    def __init__(self, plant: Plant, *, width: int = 320, height: int = 240) -> None:
+        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
+        self._plant, self._filter = plant, SafetyFilter(plant.body)
+        self._renderer, self._option = open_renderer(plant, width, height)
+        self._rays = {view: self._directions(view, width, height) for view in VIEWS}
+
+    def points(self) -> tuple[Array, Array]:
+        """What the cameras see now: points (n, 3) [m] in the world, and their colours (n, 3) in [0, 1]."""
+        seen = [self._view(view) for view in VIEWS]
+        points, colours = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        keep = ~self._own(points)
+        return points[keep], colours[keep]
+
+    def close(self) -> None:
+        """Release the GL context."""
+        self._renderer.close()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _directions(self, view: str, width: int, height: int) -> Array:
+        """Rays (pixels, 3) of unit depth in the camera's own frame: x right, y up, looking along −z."""
+        camera = int(self._plant.model.camera(view).id)
+        focal = height / (2.0 * np.tan(np.deg2rad(float(self._plant.model.cam_fovy[camera])) / 2.0))
+        column, row = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - np.arange(height) - 0.5)
+        return np.column_stack([column.ravel() / focal, row.ravel() / focal, -np.ones(column.size)])
+
+    def _view(self, view: str) -> tuple[Array, Array]:
+        camera, data, renderer = self._plant.model.camera(view).id, self._plant.data, self._renderer
+        renderer.update_scene(data, view, self._option)
+        colours = renderer.render().reshape(-1, 3) / 255.0
+        renderer.enable_depth_rendering()
+        renderer.update_scene(data, view, self._option)
+        depth = renderer.render().ravel().astype(float)
+        renderer.disable_depth_rendering()
+        near = depth < FAR
+        rotation = data.cam_xmat[camera].reshape(3, 3)
+        return data.cam_xpos[camera] + (self._rays[view][near] * depth[near, None]) @ rotation.T, colours[near]
+
+    def _own(self, points: Array) -> NDArray[np.bool_]:
+        """Which points lie on the robot itself."""
+        q = self._plant.data.qpos[self._plant.arm_slices[0]].copy()
+        own = np.zeros(len(points), bool)
+        for share in (0.0, 0.5, 1.0):  # wherever the fingers are
+            centres, radii, _ = self._filter.spheres(q, share * self._plant.body.gripper.opening.value)
+            for centre, radius in zip(centres, radii, strict=True):
+                own |= ((points - centre) ** 2).sum(axis=1) < (radius + SKIN) ** 2
+        return own
