@@ -14,7 +14,6 @@ import argparse
 import json
 import statistics
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +48,9 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     try:
         for number, one in enumerate(questions, start=1):
-            said, began = say(planner, one.prompt, longest=LONGEST), time.monotonic()
+            said = say(planner, one.prompt, longest=LONGEST)
             assert isinstance(said, Said), said
-            text, margins, tokens = of_torch(model, tokenizer, one.prompt)
-            rows.append(compared(one.id, said, text, tokens, margins) | {"torch_s": time.monotonic() - began})
+            rows.append(compared(one.id, said, model, tokenizer, one.prompt))
             print(f"{number}/{asked.count} {json.dumps(rows[-1])}", file=sys.stderr, flush=True)
     finally:
         planner.close()
@@ -79,28 +77,29 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 
 @torch.no_grad()
-def of_torch(model: Any, tokenizer: Any, turns: list[dict[str, str]]) -> tuple[str, list[float], list[int]]:
-    """Greedy text, margins of its tokens [nats], and their ids."""
-    ids = torch.tensor([prompt_ids(tokenizer, turns)])
-    told = model.generate(
-        input_ids=ids, attention_mask=torch.ones_like(ids), max_new_tokens=LONGEST, do_sample=False,
-        temperature=None, top_p=None, top_k=None, pad_token_id=tokenizer.eos_token_id, output_logits=True,
-        eos_token_id=tokenizer.eos_token_id, return_dict_in_generate=True,
-    )  # fmt: skip
-    best = [logits[0].log_softmax(-1).topk(2).values for logits in told.logits]
-    tokens = told.sequences[0, ids.shape[1] :].tolist()
-    text = tokenizer.decode(tokens, skip_special_tokens=True)
-    return text, [float(pair[0] - pair[1]) for pair in best], tokens
+def compared(question: str, said: Said, model: Any, tokenizer: Any, turns: list[dict[str, str]]) -> dict[str, Any]:
+    """One row. Where the texts part, `at` counts tokens, `margin` is torch's there.
 
-
-def compared(question: str, said: Said, text: str, tokens: list[int], margins: list[float]) -> dict[str, Any]:
-    """One row; where the texts part, `at` counts tokens and `margin` is torch's there."""
-    row: dict[str, Any] = {"question": question, "equal": said.text == text, "least_margin": min(margins)}
-    if said.text != text:
-        pairs = enumerate(zip(said.tokens, tokens, strict=False))
-        at = next((place for place, (ours, theirs) in pairs if ours != theirs), min(len(said.tokens), len(tokens)) - 1)
-        row |= {"at": at, "margin": margins[at], "torch": text[-80:], "llama": said.text[-80:]}
-    return row
+    Torch reads question and answer in one pass: greedy decoding says the same exactly if each token, and the end, is
+    the most probable after those before it.
+    """
+    given, end = list(prompt_ids(tokenizer, turns)), [tokenizer.eos_token_id] if said.whole else []
+    wanted = [*said.tokens, *end]
+    logits = model(input_ids=torch.tensor([given + wanted[:-1]]), use_cache=False).logits[0, len(given) - 1 :]
+    best = logits.log_softmax(-1).topk(2)
+    margins, first = (best.values[:, 0] - best.values[:, 1]).tolist(), best.indices[:, 0].tolist()
+    at = next((place for place, (ours, theirs) in enumerate(zip(wanted, first, strict=True)) if ours != theirs), None)
+    row: dict[str, Any] = {"question": question, "tokens": len(wanted), "equal": at is None}
+    if at is None:
+        return row | {"least_margin": min(margins)}
+    words = [tokenizer.decode([*wanted[max(0, at - 6) : at], token]) for token in (first[at], wanted[at])]
+    return row | {
+        "least_margin": min(margins[: at + 1]),
+        "at": at,
+        "margin": margins[at],
+        "torch": words[0],
+        "llama": words[1],
+    }
 
 
 if __name__ == "__main__":
