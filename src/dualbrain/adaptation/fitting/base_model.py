@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from transformers import AutoModelForCausalLM, AutoTokenizer
+from transformers.utils import logging
 
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.durable import DiskFull, sync_folder
@@ -25,6 +26,7 @@ def open_base(base: Base, cache: Path, dtype: Any) -> tuple[Any, Any]:
     llama.cpp does; so in float32 the weights are exactly those that serve. `dtype` bf16 rounds each by at most 2^-9 of
     itself. llama.cpp also rounds activations to 8 bits, which torch does not: gate and canary run where it serves.
     """
+    logging.disable_progress_bar()  # our own progress is told line by line
     folder = cache / "torch" / base.gguf_sha256[:32]
     if not folder.is_dir():
         _dequantise(base.gguf, folder)
