@@ -35,17 +35,17 @@ def draw_errand(names: SceneNames, mobile: bool, book: Book, speech: Speech, rng
     name = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
     kind, label = book.kinds[name], speech.labels.get(name, POSSIBLE)
     sentence = str(rng.choice(np.array(speech.sentences[name], object)))
-    meant, words = _slots(names, kind, sentence, speech, rng)
+    meant, group, words = _slots(names, kind, speech, rng)
     if any(f"{{{slot}}}" in sentence and not word for slot, word in words.items()):
         return None
     if rng.random() < book.impossible.get(name, 0.0):
         slot, what = _absent(names, mobile, book, sentence, rng)
-        refusal = {"reason": book.reasons["absent"].format(what=what)}
+        refusal: dict[str, Value] = {"reason": book.reasons["absent"].format(what=what)}
         return Errand(name, polish(sentence.format(**words | {slot: what}), rng), (("decline", refusal),), False)
     sentence = polish(sentence.format(**words), rng)
     if label != POSSIBLE:
         return Errand(name, sentence, (("decline", {"reason": book.reasons[label]}),), False)
-    things = meant["group"] if kind.each else [meant["object"]]
+    things: list[Value] = list(group) if kind.each else [meant["object"]]
     steps = tuple(
         (step["skill"], {key: (meant | {"object": thing})[slot] for key, slot in step.items() if key != "skill"})
         for thing in things for step in kind.contract
@@ -63,9 +63,9 @@ def polish(sentence: str, rng: np.random.Generator) -> str:
 
 
 def _slots(
-    names: SceneNames, kind: Kind, sentence: str, speech: Speech, rng: np.random.Generator
-) -> tuple[dict[str, Value | list[str]], dict[str, str]]:
-    """What each slot means, and the words for it; no words where the scene has nothing for a slot."""
+    names: SceneNames, kind: Kind, speech: Speech, rng: np.random.Generator
+) -> tuple[dict[str, Value], list[str], dict[str, str]]:
+    """What each slot means, the things of a group, and words for each; "" where the scene has nothing for a slot."""
     things, places = _shuffled(names.graspable, rng), _shuffled(names.receptive, rng)
     containers, spots = (_shuffled(some, rng) for some in (names.receptive[:1], names.receptive[1:]))
     target = next(iter({"container": containers, "place": spots, "any": places}[kind.target]), "")
@@ -76,7 +76,7 @@ def _slots(
     group, plural = _group(names, rng)
     heading = any("heading" in step for step in kind.contract)
     number = round(float(rng.integers(-31, 32)) / 10, 1) if heading else float(rng.integers(1, 11))
-    return {**named, "group": group, "number": number}, {**words, "group": plural, "number": f"{number:g}"}
+    return {**named, "number": number}, group, {**words, "group": plural, "number": f"{number:g}"}
 
 
 def _called(name: str, names: SceneNames, speech: Speech, rng: np.random.Generator) -> str:
