@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
 
-.PHONY: help demo test setup format check kernel pytest prove bench clean
+.PHONY: help demo test setup format check kernel pytest smoke prove bench clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -25,7 +25,7 @@ demo: setup  ## words become safe motion: model weights, live view, report
 	@$(BIN)/dualbrain models fetch $(PLANNER) minilm-l6-v2-int8 minilm-l6-v2-tokenizer
 	@$(BIN)/dualbrain demo "$(INSTRUCTION)" --planner $(PLANNER) $(if $(HEADLESS),--headless)
 
-test: setup check kernel pytest  ## format, lint, types, import layers, kernel under sanitizers, tests
+test: setup check kernel pytest smoke  ## format, lint, types, import layers, kernel under sanitizers, tests
 
 format: setup
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
@@ -42,6 +42,11 @@ kernel: setup
 pytest: setup
 	@$(BIN)/dualbrain models fetch smollm2-135m-instruct minilm-l6-v2-int8 minilm-l6-v2-tokenizer efficientnet-lite0
 	$(BIN)/python -m pytest -q -n 2 --ignore=tests/kernel
+
+smoke: setup  ## the evaluation protocol from end to end, six episodes without a language model
+	@rm -rf build/smoke
+	$(BIN)/dualbrain evaluate --suite smoke --out build/smoke
+	$(BIN)/dualbrain report build/smoke --gallery 0
 
 prove: setup  ## the big proofs: slow, resumable; figures go to prove/
 	@$(BIN)/python benchmarks/prove.py

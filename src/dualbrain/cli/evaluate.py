@@ -117,34 +117,38 @@ def _parts(planner: str) -> dict[str, str]:
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
     from dualbrain.evaluation.cost import costs
-    from dualbrain.evaluation.crew import Alone, Processes
     from dualbrain.evaluation.origin import origin
     from dualbrain.evaluation.planners import Sources
     from dualbrain.evaluation.runner import CONFIG, STAGES
     from dualbrain.evaluation.table_file import FILE, write_table
-    from dualbrain.evaluation.work import Workplace
 
     adapters = home() / "adapters"
     runner.prepare(origin(), costs(runner.suite, adapters, runner.suite.robots[0]))
     sources = Sources(cache(), adapters, os.environ.get("OPENAI_API_KEY", ""))
-    whole = True
-    for stage in STAGES[:-1] if plan_only else STAGES:
-        epsilon = {} if stage == "pilot" else runner.epsilon()
-        place = Workplace(runner.suite, runner.out, sources, time.perf_counter, epsilon)
-        crew = Alone(place.make()) if jobs == 1 else Processes(place.make, jobs)
-        if not runner.advance(stage, crew):
-            whole = False
-            break
-    rows = runner.rows()
-    if rows:
-        config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
-        write_table(rows, config, runner.out / FILE)
+    whole = False
+    try:
+        whole = all(_stage(runner, stage, sources, jobs) for stage in (STAGES[:-1] if plan_only else STAGES))
+    finally:  # also after Ctrl-C: what was flown so far can be read
+        rows = runner.rows()
+        if rows:
+            config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
+            write_table(rows, config, runner.out / FILE)
     account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
     if not whole:
         account.print(f"not whole: see {runner.out / 'errors.jsonl'}; the same command tries again")
     if as_json:
         answer(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": whole}).decode())
     return Exit.SUCCESS if whole else Exit.FAILED_SAFELY
+
+
+def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
+    """One pass; whether it is over."""
+    from dualbrain.evaluation.crew import Alone, Processes
+    from dualbrain.evaluation.work import Workplace
+
+    epsilon = {} if stage == "pilot" else runner.epsilon()
+    place = Workplace(runner.suite, runner.out, sources, time.perf_counter, epsilon)
+    return runner.advance(stage, Alone(place.make()) if jobs == 1 else Processes(place.make, jobs))
 
 
 def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:

@@ -121,5 +121,5 @@ def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[An
     for row in chosen(rows, count):
         began = time.monotonic()
         shots.append(photograph(row, suite, time.perf_counter))
-        account.print(f"picture of {row.key} ({row.failure})  [dim]{time.monotonic() - began:.0f} s[/]")
+        account.print(f"picture of {row.key}  [dim]{time.monotonic() - began:.0f} s[/]")
     return shots

@@ -128,6 +128,8 @@ def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
 
 def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
     """Cumulative shares on a logarithmic axis."""
+    from matplotlib.ticker import NullFormatter  # noqa: PLC0415
+
     _title(axes, title, unit)
     drawn = False
     for index, (name, values) in enumerate(parts.items()):
@@ -140,6 +142,7 @@ def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[floa
         axes.set_xticks([])
         return
     axes.set_xscale("log")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0, 1.02)
     if len(parts) > 1:
         axes.legend(frameon=False, fontsize=8)

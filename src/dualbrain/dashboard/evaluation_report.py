@@ -24,6 +24,7 @@ from dualbrain.evaluation.suite import Suite
 
 TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
 WIDTH = 480
+UNSAFE = "succeeded, unsafe"
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +106,11 @@ def _gallery(shots: Sequence[Shot]) -> Html:
         return Html("")
     figures = (_figure(shot) for shot in shots)
     note = "fly one again: dualbrain evaluate --out DIR --again KEY"
-    return section("Failures", element("div", *figures, class_="shots three"), note=note)
+    return section("Failures and unsafe successes", element("div", *figures, class_="shots three"), note=note)
 
 
 def _figure(shot: Shot) -> Html:
-    words = join((element("b", f"{shot.row.method}: {shot.row.failure}"), shot.caption, element("br"),
+    words = join((element("b", f"{shot.row.method}: {shot.row.failure or UNSAFE}"), shot.caption, element("br"),
                   element("code", shot.row.key)))  # fmt: skip
     return element("figure", element("img", src=_jpeg(shot.rgb), alt=shot.caption), element("figcaption", words))
 

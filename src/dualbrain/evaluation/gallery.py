@@ -1,4 +1,4 @@
-"""Which failures are shown: as many classes and methods as there is room for, first of each."""
+"""Which episodes are shown: failures and unsafe successes, as many classes and methods as there is room for."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dualbrain.evaluation.row import Row
 
 
 def chosen(rows: Sequence[Row], count: int) -> list[Row]:
-    """Up to `count` failures in which something moved, unsafe ones first, class by class in turn, no method twice."""
-    left = [row for row in rows if row.failure and row.trace_t]
+    """Up to `count` episodes in which something moved and went wrong, the most severe first, classes in turn."""
+    left = [row for row in rows if (row.failure or row.violations) and row.trace_t]
     left.sort(key=lambda row: -row.severity)
     found: list[Row] = []
     while left and len(found) < count:
@@ -26,4 +26,4 @@ def _times(seen: list[tuple[str, str]], part: int, value: str) -> int:
 
 
 def _place(row: Row) -> int:
-    return CLASSES.index(row.failure)
+    return CLASSES.index(row.failure) if row.failure else len(CLASSES)
