@@ -117,6 +117,8 @@ class Cortex:
             f"Ledger intact (chain valid, every acknowledged episode there, weights rebuilt equal, open to the next "
             f"writer): **{share(intact, len(rows))}**; {missing} of {stored} acknowledged episodes lost.",
         ]  # fmt: skip
+        if later := sum(row["later"] > 0 for row in rows):
+            lines += ["", f"Hands that touched, under the next contract, what they had been stopped around: {later}."]
         if early := len(rows) - len(fair):
             lines += ["", f"Not counted: {early} whose arm was held before the deed (the machine had no time for it)."]
         return ["", *lines, "", *(f"- {row['key']}: {self.brief(row)}; {row['unsafe']}" for row in fair if _bad(row))]

@@ -39,6 +39,7 @@ def main(path: str, seconds: str, seed: str) -> None:
 def visit(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
     """One connection."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
+        link.settimeout(PATIENCE)
         link.connect(path)
         counts["connections"] += 1
         known, decoder, sent = fuzzer.rng.random() < 0.7, Decoder(), 0
@@ -50,10 +51,13 @@ def visit(path: str, fuzzer: Fuzzer, counts: dict[str, int]) -> None:
                 return
         for _ in range(FRAMES):
             sent += 1
-            data = fuzzer.frame(fuzzer.word(), sent)
+            data = fuzzer.frame(fuzzer.word(), sent) or b"\0"
             gone = not _say(link, data, counts)
-            if gone or not _fine(decoder, data) or not known:
+            if gone or not _fine(decoder, data):
                 break
+            if not known:  # a stranger that was understood: whether it may stay depends on what it said
+                counts["left"] += 1
+                return
         else:
             counts["left"] += 1
             return
@@ -86,15 +90,19 @@ def _await_end(link: socket.socket, decoder: Decoder, counts: dict[str, int]) ->
     if decoder.broken is None and decoder.waiting:
         counts["left"] += 1
         return
-    link.settimeout(PATIENCE)
+    until = time.monotonic() + PATIENCE
     try:
-        while link.recv(1 << 16):
-            pass
-        counts["refused"] += 1
+        while (left := until - time.monotonic()) > 0.0:
+            link.settimeout(left)
+            if not link.recv(1 << 16):
+                counts["refused"] += 1
+                return
     except TimeoutError:
-        counts["not hung up"] += 1
+        pass
     except OSError:
         counts["refused"] += 1
+        return
+    counts["not hung up"] += 1
 
 
 if __name__ == "__main__":

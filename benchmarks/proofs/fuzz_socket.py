@@ -42,7 +42,7 @@ from proofs.proof import Options, Row, Unit
 
 FRAMES = 10_000_000
 A_UNIT = 250_000
-DOORS, SECONDS, CLIENTS = 4, 60.0, 2
+DOORS, SECONDS, CLIENTS = 4, 30.0, 2
 """How often the door is tried, for how long with and without fuzz [s], by how many clients."""
 WARM = 2_000
 """Frames before memory is looked at."""
