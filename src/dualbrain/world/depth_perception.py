@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.solids import distance, solid
 from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import matrix, quaternion
-from dualbrain.records import Bowl, Box, Cylinder, Pose, Scene, SceneObject
+from dualbrain.records import Bowl, Cylinder, Pose, Scene, SceneObject
 from dualbrain.world.depth_camera import DepthCamera
 from dualbrain.world.perception import TABLE
 from dualbrain.world.plant import Plant
@@ -133,13 +133,11 @@ def _named(one: Primitive, taken: dict[str, SceneObject], now: float) -> SceneOb
 
 def kind_of_shape(one: Primitive) -> str:
     """What a thing of that shape and colour is called."""
-    match one.shape:
-        case Bowl():
-            return "bowl"
-        case Cylinder(half_height=half):
-            return "glass" if one.colour == "clear" else ("tin", "can", "bottle")[_class(2 * half)]
-        case Box(half_extents=half):
-            return "cube" if one.colour == "red" else ("block", "carton", "box")[_class(2 * half[2])]
+    if isinstance(one.shape, Bowl):
+        return "bowl"
+    if isinstance(one.shape, Cylinder):
+        return "glass" if one.colour == "clear" else ("tin", "can", "bottle")[_class(2 * one.shape.half_height)]
+    return "cube" if one.colour == "red" else ("block", "carton", "box")[_class(2 * one.shape.half_extents[2])]
 
 
 def _class(height: float) -> int:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from dualbrain.records import Bowl, Box, Cylinder, Pose, Quaternion
 from dualbrain.world.looks import COLOURS
@@ -117,7 +117,7 @@ def _clusters(points: Array) -> Iterator[NDArray[np.intp]]:
     """Indices of each cluster."""
     if not len(points):
         return
-    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(points), TOUCH)
+    pairs = KDTree(points).sparse_distance_matrix(KDTree(points), TOUCH)
     count, label = connected_components(pairs, directed=False)
     for number in range(count):
         mine = np.flatnonzero(label == number)
