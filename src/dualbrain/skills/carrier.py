@@ -139,6 +139,10 @@ class Carrier:
         """What the hand holds."""
         return self.arm.holding
 
+    @holding.setter
+    def holding(self, holding: Holding | None) -> None:
+        self.arm.holding = holding
+
     def sense(self, senses: Senses) -> None:
         """Take in this tick's senses, each part in its own terms."""
         self._senses = senses
