@@ -112,7 +112,7 @@ def moment(rng, model, points, *, things=8, moving=True, apart=True, permits=Tru
     user = [[*rng.normal(size=n), rng.uniform(-3.0, -1.0), 0.01 * k, 1 + k % 4] for k in range(rows)]
     u_prev = model["v_max"] * rng.uniform(-1.0, 1.0, n) * rng.choice([0.0, 0.1, 0.8])
     return Moment(
-        rng.uniform(-1.4, 1.4, n), rng.uniform(-0.5, 0.5, n), u_prev + 0.01 * rng.normal(size=n), u_prev,
+        rng.uniform(-1.6, 1.6, n), rng.uniform(-0.5, 0.5, n), u_prev + 0.01 * rng.normal(size=n), u_prev,
         np.array(table).reshape(-1, 29), float(rng.uniform(0.0, 0.04)), 0.1 * moving, allowed, carried,
         0.003 * (held > 0), np.array(user).reshape(-1, n + 3), base,
     )  # fmt: skip

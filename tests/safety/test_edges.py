@@ -8,6 +8,7 @@ import pytest
 from dualbrain.safety import _kernel, _kernel64
 
 from . import moments
+from .surroundings import Thing
 
 POSITION, MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 5, 24, 25, 26, 27, 28, 4, 2, 0, 20
 STATUS_STOPPED, OVERFLOW, BAD_SCENE, INFEASIBLE, JERK = 3, 16, 256, 128, 2048
@@ -69,6 +70,32 @@ def test_rows_that_fit_fit_and_one_more_stops(links, things):
     assert (many.status, many.flags & OVERFLOW) == (STATUS_STOPPED, OVERFLOW)
     assert (many.n_rows, many.certified, many.iterations, many.rows, many.relaxed) == (512, False, 0, (), 0)
     assert many.h_min == pytest.approx(0.0005, abs=1e-12)
+
+
+def test_a_row_handed_in_needs_room_as_well():
+    model = chain(frames=(1, 2), counts=(1, 8))
+    made = moments.kernel(model)
+    made.set_obstacles(np.array([ball((0.7, 0.15, 0.0), 0.1, **{"c3": 2.0, f"c{MARGIN}": 0.0295})] * 64))
+    m = moments.Moment(*np.zeros((4, 2)), np.empty((0, 29)))
+    for rows, wanted in ((0, 0), (1, OVERFLOW)):
+        made.constrain(np.array([[1.0, 0.0, -5.0, 0.0, 1.0]] * rows).reshape(-1, 5))
+        assert moments.step(made, m).flags & OVERFLOW == wanted
+
+
+def test_inside_a_box_the_way_out_is_the_nearest_face():
+    rng = np.random.default_rng(8)
+    for _ in range(60):
+        row = np.array(ball((0.1, 0.2, 0.3), 0.0))
+        row[0], row[8:17], row[17:20] = 1.0, moments.turn(rng).ravel(), rng.uniform(0.1, 0.4, 3)
+        thing = Thing(row, 0.0)
+        points = row[5:8] + (rng.uniform(-1.0, 1.0, (8, 3)) * thing.half) @ thing.turn.T
+        d, n = np.empty(8), np.empty((8, 3))
+        _kernel64.distance(row, np.ascontiguousarray(points), d, n)
+        for point, got, normal in zip(points, d, n, strict=True):
+            wanted, way = thing.distance(point)
+            assert wanted < 0.0
+            assert got == pytest.approx(wanted, abs=1e-12)
+            np.testing.assert_allclose(normal, way, atol=1e-12)
 
 
 EDGES = {

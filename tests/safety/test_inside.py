@@ -72,6 +72,22 @@ def body_and_scene(got, w):
     assert scene["any_moving"][0] == any(not t.flags & 2 for t in w.things)
 
 
+def bounds(w):
+    """The box: speed, acceleration around the last control, and what still stops before a joint limit."""
+    m, y = w.model, w.y
+    step = m["a_max"] * m["period"]
+    low, high = np.maximum(-m["v_max"], w.m.u_prev - step), np.minimum(m["v_max"], w.m.u_prev + step)
+
+    def toward(d):
+        linear, half = m["alpha_joint"] * d, 0.5 * step
+        braking = np.sqrt(half**2 + 2.0 * m["a_max"] * np.maximum(d, 0.0)) - half
+        return np.where(d > 0.0, np.minimum(linear, braking), np.maximum(linear, -4.0 * m["recovery"])) - m["tracking"]
+
+    lower = np.clip(-toward(y - m["q_lower"] - m["rounding"]), low, high)
+    close(w.low, lower, "lower bounds")
+    close(w.high, np.clip(toward(m["q_upper"] - m["rounding"] - y), lower, high), "upper bounds")
+
+
 def motion(got, w):
     n, count = w.n, len(w.centre)
     assert got["step"]["spheres"][0] == count
@@ -180,6 +196,7 @@ def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
             continue
         made, _, _, answer, got, w = found
         body_and_scene(got, w)
+        bounds(w)
         motion(got, w)
         lists(got, w)
         assert answer.h_min == pytest.approx(w.h_min, abs=1e-9)
