@@ -239,6 +239,8 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
             told = got["step"]["trusted"][0]
             assert told in (0, narrowed)
             inside = np.all((answer.u >= low) & (answer.u <= high))
+            found_there = np.all((answer.u >= w.trust_low) & (answer.u <= w.trust_high))
+            assert found_there or not told, "an answer that lies elsewhere is looked for there"
             if told and inside:
                 close(w.trust_low, low, "the trust box")
                 close(w.trust_high, high, "the trust box")
