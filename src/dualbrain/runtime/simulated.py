@@ -17,6 +17,8 @@ from dualbrain.world.task import Goal, Referee
 
 WATCH_EVERY = 50
 """Ticks between two glances of the referee."""
+GLANCE = 0.02
+"""Time between two glances at an errand of several goals [s]: some are only passed."""
 
 BROKEN = 0.99
 """Progress of an errand whose thing arrived, but was not handled gently."""
@@ -67,10 +69,14 @@ class SimulatedWorld:
             self.plant.step()
             self.monitor.tick()
         self._ticks += 1
-        if self._referee and self._ticks % WATCH_EVERY == 0:
+        if self._referee and self._ticks % self._watch_every() == 0:
             self._referee.watch()
         if self._pace:
             self._pace(self.plant.now)
+
+    def _watch_every(self) -> int:
+        several = isinstance(self._referee, AgendaReferee)
+        return max(1, round(GLANCE / self.plant.body.period)) if several else WATCH_EVERY
 
     def begin(self, contract: Contract) -> None:
         """A contract was accepted: judge its own goal unless one was stated beforehand."""

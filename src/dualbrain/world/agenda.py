@@ -100,7 +100,10 @@ def _free(container: str, spec: SceneSpec) -> bool:
 
 
 class AgendaReferee:
-    """Follows an agenda through an episode: call `watch` now and then (every 50 ms is enough), then `judge`."""
+    """Follows an agenda through an episode: call `watch` every 20 ms, then `judge`.
+
+    So often, because a base hardly rests at a place that it only passes.
+    """
 
     def __init__(self, plant: Plant, agenda: Agenda) -> None:
         """Remember where everything stands."""
