@@ -18,8 +18,9 @@ from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
 from dualbrain.records import Episode
-from dualbrain.runtime.simulated import own_goal
+from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.trace import Trace
+from dualbrain.world.agenda import Agenda
 from dualbrain.world.task import Goal
 
 BUCKET = 0.1
@@ -110,7 +111,9 @@ def _meant(case: Case, episode: Episode) -> bool:
     idle = episode.contract is None or episode.outcome.kind == "declined"
     if case.goal is None:
         return idle
-    wanted = None if idle else own_goal(contract_of(episode))
+    wanted = None if idle else own_goals(contract_of(episode))
+    if isinstance(wanted, Agenda):
+        wanted = wanted.stages[-1][0]
     if isinstance(wanted, Goal) and isinstance(case.goal, Goal):
         return (wanted.thing, wanted.destination) == (case.goal.thing, case.goal.destination)
     return wanted is not None and wanted == case.goal

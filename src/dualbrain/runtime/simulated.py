@@ -124,17 +124,3 @@ def own_goals(contract: Contract) -> Goal | At | Agenda | None:
         elif action.skill == "drive_to":
             stages.append((At(str(action.params["place"])),))
     return Agenda(tuple(stages)) if len(stages) > 1 else stages[0][0] if stages else None
-
-
-def own_goal(contract: Contract) -> Goal | At | None:
-    """The last thing that the contract grasps and then places, or the last place that it drives to, as a goal."""
-    thing: str | None = None
-    goal: Goal | At | None = None
-    for action in contract.action_sequence:
-        if action.skill == "grasp":
-            thing = str(action.params["object"])
-        elif action.skill == "place" and thing is not None:
-            goal = Goal(thing, str(action.params["destination"]))
-        elif action.skill == "drive_to":
-            goal = At(str(action.params["place"]))
-    return goal

@@ -10,14 +10,11 @@ the measured joint angles. Nothing here reads which thing a pixel shows.
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.pictures import open_renderer
+from dualbrain.world.pictures import Offscreen
 from dualbrain.world.plant import Plant
 
 Array = NDArray[np.float64]
@@ -28,13 +25,13 @@ SKIN = 0.02
 """Points this near to one of the robot's own spheres count as the robot [m]."""
 
 
-class DepthCamera:
+class DepthCamera(Offscreen):
     """Looks at one plant from several sides; close it, or use it in a `with` block."""
 
     def __init__(self, plant: Plant, *, width: int = 320, height: int = 240) -> None:
         """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
-        self._plant, self._filter = plant, SafetyFilter(plant.body)
-        self._renderer, self._option = open_renderer(plant, width, height)
+        super().__init__(plant, width, height)
+        self._filter = SafetyFilter(plant.body)
         self._rays = {view: self._directions(view, width, height) for view in VIEWS}
 
     def points(self) -> tuple[Array, Array]:
@@ -43,20 +40,6 @@ class DepthCamera:
         points, colours = (np.concatenate(parts) for parts in zip(*seen, strict=True))
         keep = ~self._own(points)
         return points[keep], colours[keep]
-
-    def close(self) -> None:
-        """Release the GL context."""
-        self._renderer.close()
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _directions(self, view: str, width: int, height: int) -> Array:
         """Rays (pixels, 3) of unit depth in the camera's own frame: x right, y up, looking along −z."""

@@ -23,20 +23,13 @@ CAMERAS = ("front", "top", "side")
 PACKAGES = "libosmesa6 libegl1 libgl1-mesa-dri libgl1 libopengl0"
 
 
-class Camera:
-    """An offscreen camera on one plant; close it, or use it in a `with` block."""
+class Offscreen:
+    """A GL context without a window on one plant; close it, or use it in a `with` block."""
 
-    def __init__(self, plant: Plant, *, width: int = 960, height: int = 720, shadows: bool = False) -> None:
-        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
+    def __init__(self, plant: Plant, width: int, height: int, *, shadows: bool = False) -> None:
+        """Open it; raises `MissingPart` with the packages to install when there is none."""
         self._plant = plant
         self._renderer, self._option = open_renderer(plant, width, height, shadows=shadows)
-
-    def snap(self, view: str = "front") -> NDArray[np.uint8]:
-        """The world now, seen from `view` (front, top or side), as an RGB array (height, width, 3)."""
-        if view not in CAMERAS:
-            raise UnknownName("camera", view, CAMERAS)
-        self._renderer.update_scene(self._plant.data, view, self._option)
-        return self._renderer.render()
 
     def close(self) -> None:
         """Release the GL context."""
@@ -51,6 +44,21 @@ class Camera:
     ) -> None:
         """Close."""
         self.close()
+
+
+class Camera(Offscreen):
+    """Pictures of one plant."""
+
+    def __init__(self, plant: Plant, *, width: int = 960, height: int = 720, shadows: bool = False) -> None:
+        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
+        super().__init__(plant, width, height, shadows=shadows)
+
+    def snap(self, view: str = "front") -> NDArray[np.uint8]:
+        """The world now, seen from `view` (front, top or side), as an RGB array (height, width, 3)."""
+        if view not in CAMERAS:
+            raise UnknownName("camera", view, CAMERAS)
+        self._renderer.update_scene(self._plant.data, view, self._option)
+        return self._renderer.render()
 
 
 def open_renderer(

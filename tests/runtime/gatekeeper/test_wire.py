@@ -33,7 +33,7 @@ def test_packets_come_whole_and_in_order_and_nobody_waits(ends):
 STATE = bus.State(0.0, 1, (), (), 0.0, (0.0, 0.0), driven=True)
 
 
-@pytest.mark.parametrize("data", [b"\xc1", b"rubbish", bus.encode(bus.Judge())[:1], bus.encode(STATE)])
+@pytest.mark.parametrize("data", [b"\xc1", b"rubbish", bus.encode(bus.Quit())[:1], bus.encode(STATE)])
 def test_what_is_no_packet_of_this_direction_is_rubbish_and_the_wire_stays_open(ends, data):
     here, there = ends
     here._link.send(data)
@@ -68,5 +68,5 @@ def test_a_dead_end_is_noticed_by_hearing_and_by_sending(ends):
 def test_sending_into_a_dead_end_closes_it(ends):
     here, there = ends
     here.close()
-    there.send(bus.Judge())
+    there.send(bus.Quit())
     assert not there.open

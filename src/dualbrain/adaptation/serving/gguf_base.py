@@ -69,3 +69,13 @@ def _field(reader: Any, key: str, kind: type[Any]) -> Any:
     if not isinstance(value, kind):
         raise InvalidSetup(f"{key} of the base", got=value, allowed=f"one {kind.__name__}")
     return value
+
+
+def write_out(writer: Any) -> None:
+    """Everything that was added to the `GGUFWriter`, in the order of the format, and the file closed in any case."""
+    try:
+        writer.write_header_to_file()
+        writer.write_kv_data_to_file()
+        writer.write_tensors_to_file()
+    finally:
+        writer.close()

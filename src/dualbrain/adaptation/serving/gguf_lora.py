@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dualbrain.adaptation.durable import whole_file
-from dualbrain.adaptation.serving.gguf_base import GgufBase, read_gguf_base
+from dualbrain.adaptation.serving.gguf_base import GgufBase, read_gguf_base, write_out
 from dualbrain.adaptation.serving.peft_lora import Matrix, Pair, read_lora
 from dualbrain.errors import InvalidSetup
 
@@ -75,9 +75,4 @@ def _write_gguf(placed: dict[str, Pair], architecture: str, path: Path) -> None:
         rank = np.float32(len(pair.a))
         writer.add_tensor(f"{tensor}.lora_a", np.ascontiguousarray(pair.a, np.float32))
         writer.add_tensor(f"{tensor}.lora_b", np.ascontiguousarray(pair.b * rank, np.float32))
-    try:
-        writer.write_header_to_file()
-        writer.write_kv_data_to_file()
-        writer.write_tensors_to_file()
-    finally:
-        writer.close()
+    write_out(writer)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dualbrain.adaptation.durable import whole_file
-from dualbrain.adaptation.serving.gguf_base import read_gguf_base
+from dualbrain.adaptation.serving.gguf_base import read_gguf_base, write_out
 from dualbrain.adaptation.serving.gguf_lora import in_place
 from dualbrain.adaptation.serving.peft_lora import Pair
 
@@ -41,12 +41,7 @@ def _write(placed: dict[str, Pair], base: Path, architecture: str, path: Path) -
         if tensor.name in placed:
             weights = weights + placed[tensor.name].b @ placed[tensor.name].a
         writer.add_tensor(tensor.name, weights.astype(np.float16 if weights.ndim > 1 else np.float32))
-    try:
-        writer.write_header_to_file()
-        writer.write_kv_data_to_file()
-        writer.write_tensors_to_file()
-    finally:
-        writer.close()
+    write_out(writer)
 
 
 def _copy(writer: Any, key: str, field: Any) -> None:

@@ -10,7 +10,7 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.embodiment.robot import RobotState
-from dualbrain.records import Judgement, Scene
+from dualbrain.records import Scene
 
 
 class Packet(msgspec.Struct, frozen=True, array_like=True):
@@ -44,10 +44,6 @@ class Begin(Packet, frozen=True, tag=4):
     contract: Contract
 
 
-class Judge(Packet, frozen=True, tag=5):
-    """Ask for the judgement on truth."""
-
-
 class Quit(Packet, frozen=True, tag=6):
     """The robot may be switched off."""
 
@@ -76,14 +72,8 @@ class Seen(Packet, frozen=True, tag=8):
     scene: Scene
 
 
-class Judged(Packet, frozen=True, tag=9):
-    """What truth says."""
-
-    judgement: Judgement
-
-
-ToRobot = Write | Switch | Allow | Begin | Judge | Quit
-FromRobot = State | Seen | Judged
+ToRobot = Write | Switch | Allow | Begin | Quit
+FromRobot = State | Seen
 PACKET = 256 * 1024
 """Longest packet [bytes]."""
 

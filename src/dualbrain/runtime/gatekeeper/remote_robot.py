@@ -12,7 +12,7 @@ import numpy as np
 from dualbrain.contracts.contract import Contract
 from dualbrain.embodiment.robot import Command, RobotState
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Judgement, Scene
+from dualbrain.records import Scene
 from dualbrain.runtime.gatekeeper import bus
 from dualbrain.runtime.gatekeeper.driver_process import DriverSettings
 from dualbrain.runtime.gatekeeper.laps import Laps
@@ -49,7 +49,6 @@ class RemoteRobot:
         self.metronome, self._laps = Metronome(timing), laps or Laps()
         self._state: RobotState | None = None
         self._scene: Scene | None = None
-        self._judgement: Judgement | None = None
         self._received = 0.0
         self._wait_for_start()
 
@@ -115,16 +114,6 @@ class RemoteRobot:
         """Tell the referee what is to be done."""
         self._wire.send(bus.Begin(contract))
 
-    def judge(self) -> Judgement | None:
-        """What truth says; the answer comes while the robot goes on."""
-        self._judgement = None
-        self._wire.send(bus.Judge())
-        deadline = time.monotonic() + 2.0
-        while self._wire.open and self._judgement is None and time.monotonic() < deadline:
-            if self._wire.wait(0.1):
-                self._receive()
-        return self._judgement
-
     def close(self) -> None:
         """Drive off, and the robot is switched off."""
         self.stop()
@@ -158,8 +147,6 @@ class RemoteRobot:
                     self._take(packet)
                 case bus.Seen(scene):
                     self._scene = scene
-                case bus.Judged(judgement):
-                    self._judgement = judgement
                 case Rubbish(reason):
                     raise InvalidSetup("packet of the robot", got=reason, allowed="a state, a scene or a judgement")
 

@@ -148,8 +148,6 @@ class RobotProcess:
                 self.world.allow(phase, roles)
             case bus.Begin(contract):
                 self.world.begin(contract)
-            case bus.Judge():
-                self._wire.send(bus.Judged(self.world.judgement()))
             case bus.Quit():
                 self._asked_to_quit = True
 
