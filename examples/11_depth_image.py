@@ -28,13 +28,18 @@ POST, BALL = (Box((0.03, 0.03, 0.2)), Pose((0.5, 0.15, 0.2))), (Sphere(0.06), Po
 """The truth, which only the camera and the last line know."""
 
 
-def seen_by_camera(rng):
-    """A depth image [m] as a sensor would give it (here: rays against a post and a ball on a table)."""
+def true_depth():
+    """The depth [m] along every pixel's ray (here: against a post and a ball on a table)."""
     rays = pixel_rays() @ matrix(LOOK.quaternion).T
     depth = np.full(len(rays), 0.2)
     for _ in range(80):  # sphere tracing: as far as nothing is nearer
         points = np.array(LOOK.position) + rays * depth[:, None]
         depth += 0.95 * np.min([distance(*thing, points) for thing in (TABLE, POST, BALL)], axis=0)
+    return depth
+
+
+def picture(depth, rng):
+    """A depth image [m] as a sensor would give it: no two are alike, and a source that repeats itself is refused."""
     return (depth + rng.uniform(-NOISE, NOISE, len(depth))).reshape(HEIGHT, WIDTH)
 
 
@@ -69,7 +74,8 @@ def balls(name, points, most=0.05):
 
 rng = np.random.default_rng(0)
 feed = SceneFeed({"camera": Source(error=NOISE, oldest=0.2)}, {"lens": Mounted(LOOK, error=0.002, angle=0.002)})
-shapes = primitives(seen_by_camera(rng), LOOK)
+depth = true_depth()
+shapes = primitives(picture(depth, rng), LOOK)
 for frame, stamp in (("lens", 0.0), ("lense", 0.0), ("lens", -1.0)):
     match feed.update("camera", frame, stamp, shapes, now=0.0):
         case Updated(_, count):
@@ -80,7 +86,8 @@ safety = SafetyFilter(load_body("panda"), EXACT, standing=[Obstacle("table", *TA
 q, u, least = np.array(safety.body.home), np.zeros(7), np.inf
 for tick in range(1500):
     now = 1e-3 * tick
-    feed.update("camera", "lens", now, shapes, now=now) if tick % 50 == 0 and tick < 1000 else None
+    if tick % 50 == 0 and tick < 1000:
+        feed.update("camera", "lens", now, primitives(picture(depth, rng), LOOK), now=now)
     feed.hand_over(safety, now)
     answer = safety(q, u, np.array([0.3, 0.6, 0.0, 0.3, 0.0, 0.0, 0.0]), now)
     q, u = q + 1e-3 * answer.u, answer.u

@@ -85,7 +85,8 @@ class SceneObject(Record, frozen=True):
     """One thing the robot knows of, as perceived.
 
     `error` bounds the norm of the position error [m] and `velocity_error` that of the velocity error [m/s]; both enter
-    the filter's margins. `stamp` [s] is when it was last seen.
+    the filter's margins; what has an error is noisy, and never told twice alike under two stamps. `stamp` [s] is when
+    it was last seen.
     """
 
     name: str

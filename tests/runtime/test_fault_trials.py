@@ -13,10 +13,12 @@ SAMPLE = [
     ("state", "off", "closing"),
     ("state", "garbage", "carrying"),
     ("scene", "garbage", "closing"),
+    ("scene", "stuck", "carrying"),
     ("clock", "stuck", "between write and acknowledgement"),
     ("qp", "off", "closing"),
     ("qp", "garbage", "descending"),
     ("qp", "stuck", "carrying"),
+    ("qp", "slow", "closing"),
     ("drive", "stuck", "closing"),
     ("drive", "off", "carrying"),
     ("socket", "garbage", "closing"),
@@ -57,3 +59,21 @@ def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
     assert report.safe, report
     assert (report.reached, "frames_refused" in report.checks) == ("WARN", True)
     assert report.outcome == "succeeded", report
+
+
+@pytest.mark.parametrize(
+    ("robot", "source", "kind", "moment", "scene", "check"),
+    [
+        ("fr3", "qp", "slow", "closing", "bare:0", "loop_behind"),
+        ("panda", "scene", "stuck", "closing", "forearm:0", "scene_frozen"),
+        ("ur5e", "scene", "stuck", "grasping", "forearm:0", "scene_frozen"),
+        ("ur5e", "scene", "stuck", "between write and acknowledgement", "forearm:0", "scene_frozen"),
+    ],
+)
+def test_what_was_unsafe_once_is_found_out_in_time(robot, source, kind, moment, scene, check):
+    report = inject(Fault(source, kind, moment), robot=robot, scene=scene)
+    assert report.safe, report
+    assert report.as_declared, report
+    assert check in report.checks
+    assert report.reaction is not None
+    assert report.reaction < 0.15

@@ -120,3 +120,21 @@ def test_frames_in_a_circle_or_without_a_parent_are_no_setup():
         SceneFeed({}, {"a": Mounted(parent="nowhere")})
     with pytest.raises(InvalidSetup):
         SceneFeed({"camera": Source(-1.0, 1.0)})
+
+
+def test_a_source_that_hangs_is_refused_falls_silent_and_is_believed_again_once_it_sees():
+    one = feed()
+    for k in range(10):
+        one.update("map", "world", 0.05 * k, [BALL], now=0.05 * k)
+        said = one.update("camera", "world", 0.05 * k, [BALL], now=0.05 * k)
+        assert isinstance(said, Refused) == (k >= SOURCES["camera"].repeats), "a map without error may repeat itself"
+    assert "equal to the bit" in said.reason
+    assert one.silent(0.45) == ("camera",)
+    seen = msgspec.structs.replace(BALL, pose=Pose((0.3, 0.0, 1e-9)))
+    assert one.update("camera", "world", 0.5, [seen], now=0.5) == Updated("camera", 1)
+    assert one.silent(0.5) == ()
+
+
+def test_a_source_may_say_that_it_never_changes():
+    one = SceneFeed({"map": Source(error=0.01, oldest=1.0, repeats=None)})
+    assert all(isinstance(one.update("map", "world", float(k), [BALL], now=float(k)), Updated) for k in range(9))

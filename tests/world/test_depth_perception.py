@@ -16,7 +16,7 @@ LOOK = """
 import numpy as np
 from dualbrain.world.depth_camera import DepthCamera
 from dualbrain.world.depth_perception import ERROR, DepthPerception
-from tests.world.hand import plant
+from tests.world.hand import plant, rest
 p = plant("tabletop", 1)
 with DepthCamera(p) as camera:
     eyes = DepthPerception(p.spec, camera)
@@ -28,6 +28,11 @@ with DepthCamera(p) as camera:
         assert np.linalg.norm(off) < ERROR, (thing.name, off)
         assert type(seen[thing.name].shape) is type(thing.shape)
     assert eyes.look(p).find("red_cube") == scene.find("red_cube"), "no new picture within its period"
+    rest(p, 0.6)
+    again = {thing.name: thing for thing in eyes.look(p).objects}
+    renewed = [name for name in seen if again[name].stamp > seen[name].stamp and again[name].error > 0.0]
+    assert renewed
+    assert all(again[name].pose != seen[name].pose for name in renewed), "a second picture is never equal to the bit"
 """
 
 

@@ -50,12 +50,12 @@ STOP, HOLD, SLOW, WARN, NONE, ESTOP = (
 EXPECTED: dict[tuple[str, str], Rung] = {
     ("state", "off"): STOP, ("state", "stuck"): STOP, ("state", "garbage"): STOP, ("state", "wrong"): STOP,
     ("state", "slow"): WARN, ("state", "delayed"): STOP, ("state", "intermittent"): WARN,
-    ("scene", "off"): NONE, ("scene", "stuck"): NONE, ("scene", "garbage"): HOLD, ("scene", "wrong"): HOLD,
+    ("scene", "off"): NONE, ("scene", "stuck"): HOLD, ("scene", "garbage"): HOLD, ("scene", "wrong"): HOLD,
     ("scene", "slow"): NONE, ("scene", "delayed"): NONE, ("scene", "intermittent"): NONE,
     ("clock", "off"): STOP, ("clock", "stuck"): STOP, ("clock", "garbage"): STOP, ("clock", "wrong"): STOP,
     ("clock", "slow"): STOP, ("clock", "delayed"): STOP, ("clock", "intermittent"): STOP,
     ("qp", "off"): ESTOP, ("qp", "stuck"): STOP, ("qp", "garbage"): STOP, ("qp", "wrong"): STOP,
-    ("qp", "slow"): WARN, ("qp", "delayed"): STOP, ("qp", "intermittent"): STOP,
+    ("qp", "slow"): STOP, ("qp", "delayed"): STOP, ("qp", "intermittent"): STOP,
     ("drive", "off"): ESTOP, ("drive", "stuck"): STOP, ("drive", "garbage"): STOP, ("drive", "wrong"): STOP,
     ("drive", "slow"): STOP, ("drive", "delayed"): NONE, ("drive", "intermittent"): NONE,
     ("planner", "off"): NONE, ("planner", "stuck"): WARN, ("planner", "garbage"): WARN, ("planner", "wrong"): WARN,
@@ -67,7 +67,7 @@ EXPECTED: dict[tuple[str, str], Rung] = {
 warning, and the contract goes on; a socket that breaks takes the commander away, and the arm holds.
 NONE: the fault may pass unnoticed, and must be harmless. Of a
 scene in which nothing moves, old pictures are as good as new; in one with a person they must lead to HOLD."""
-WITH_A_PERSON: dict[tuple[str, str], Rung] = {("scene", "off"): HOLD, ("scene", "stuck"): NONE, ("scene", "slow"): SLOW}
+WITH_A_PERSON: dict[tuple[str, str], Rung] = {("scene", "off"): HOLD, ("scene", "slow"): SLOW}
 """What is expected where something moves."""
 
 

@@ -1,7 +1,9 @@
 """What a perceived scene says of itself: how old it is, and whether it can be at all.
 
-A scene is believed only if its numbers are finite, what is fixed has not moved, and nothing has gone faster than
-anything here can. One camera can lie in no way that this does not see: a shift within these bounds stays unseen.
+A scene is believed only if its numbers are finite, what is fixed has not moved, nothing has gone faster than anything
+here can, and what is seen with an error is not seen again and again equal to the bit (a camera that hangs and stamps
+its old picture anew). One camera can lie in ways that this does not see: a shift within these bounds, or an old picture
+with fresh noise.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import numpy as np
 
 from dualbrain.records import STILL, Scene, SceneObject
 from dualbrain.safety.condition import Condition
+from dualbrain.safety.repetition import Repetition, Sighting
 from dualbrain.safety.watch import Bounds
 
 MISSED = 0.5
@@ -39,12 +42,16 @@ class SceneWatch:
         self._bounds = bounds or Bounds()
         self._last: dict[str, SceneObject] = {}
         self._stamp = -np.inf
-        self._moving = False
+        self._moving = self._frozen = False
+        self._repetition = Repetition()
 
     def update(self, scene: Scene) -> int:
         """`Condition` bits of a new scene; 0 means that it is believed, and that the next is compared with it."""
         if not (_finite(scene) and all(self._possible(thing, scene.stamp) for thing in scene.objects)):
             return Condition.SCENE_IMPLAUSIBLE
+        self._frozen = self._repetition.update(map(_sighting, scene.objects)) >= self._bounds.scene_frozen
+        if self._frozen:
+            return Condition.SCENE_FROZEN
         self._last = {thing.name: thing for thing in scene.objects}
         self._stamp = scene.stamp
         self._moving = any(
@@ -54,12 +61,13 @@ class SceneWatch:
 
     def age(self, scene: Scene, now: float) -> int:
         """`Condition` bits of the scene in force at `now` [s]; a scene in which nothing moves may be old."""
+        frozen = int(Condition.SCENE_FROZEN) if self._frozen else 0
         age = now - believed(scene)
         if not age >= -self._bounds.scene_ahead:
-            return Condition.SCENE_IMPLAUSIBLE
+            return frozen | Condition.SCENE_IMPLAUSIBLE
         if not self._moving or age <= self._bounds.scene_old:
-            return 0
-        return Condition.SCENE_OLD | (Condition.SCENE_STALE if age > self._bounds.scene_stale else 0)
+            return frozen
+        return frozen | Condition.SCENE_OLD | (Condition.SCENE_STALE if age > self._bounds.scene_stale else 0)
 
     def _possible(self, thing: SceneObject, stamp: float) -> bool:
         """Whether `thing` can have come from where it was last."""
@@ -71,6 +79,11 @@ class SceneWatch:
         if thing.role in FIXED:
             return moved <= noise
         return moved <= noise + FASTEST * max(0.0, max(stamp, thing.stamp) - min(self._stamp, last.stamp))
+
+
+def _sighting(thing: SceneObject) -> Sighting:
+    numbers = (thing.pose, thing.velocity)
+    return Sighting(thing.name, thing.stamp, numbers, exact=thing.error == 0.0 and thing.velocity_error == 0.0)
 
 
 def _finite(scene: Scene) -> bool:

@@ -32,7 +32,8 @@ class Clears(Enum):
 class Check(msgspec.Struct, frozen=True):
     """One row. `after` [s]: how long the condition must last; `release` [s]: how long it must be gone to count as gone.
 
-    `ending` is the outcome of the contract that it ends ("": the contract goes on).
+    `ending` is the outcome of the contract that it ends ("": the contract goes on). `at_once`: a CONTROLLED_STOP in
+    which the drive goes off at once and brakes by itself, because the filter that would brake is what is broken.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Check(msgspec.Struct, frozen=True):
     release: float = 0.02
     clears: Clears = Clears.WHEN_GONE
     ending: Ending = ""
+    at_once: bool = False
 
 
 GONE, CONTINUED, RESUMED, TWO_STEP, RESTART = Clears
@@ -73,6 +75,9 @@ CHECKS: tuple[Check, ...] = (
           after=0.05, release=0.2, ending="stopped"),
     Check("scene_implausible", C.SCENE_IMPLAUSIBLE, Rung.HOLD, Cause.SENSING,
           "the scene holds numbers that cannot be, or is stamped in the future", release=0.2, ending="stopped"),
+    Check("scene_frozen", C.SCENE_FROZEN, Rung.HOLD, Cause.SENSING,
+          "a camera tells the same picture again and again, equal to the bit and stamped anew", release=0.2,
+          ending="stopped"),
     Check("heartbeat_lost", C.HEARTBEAT_LOST, Rung.HOLD, Cause.CORTEX, "the commander has gone silent",
           release=0.1, ending="stopped"),
     Check("link_lost", C.LINK_LOST, Rung.HOLD, Cause.CORTEX, "the commander's connection is gone", release=0.1,
@@ -107,6 +112,9 @@ CHECKS: tuple[Check, ...] = (
           release=0.5, clears=CONTINUED, ending="stopped"),
     Check("interrupted", C.INTERRUPT, Rung.CONTROLLED_STOP, Cause.OPERATOR, "a person has interrupted the program",
           release=0.5, clears=CONTINUED, ending="aborted"),
+    Check("loop_behind", C.LOOP_BEHIND, Rung.CONTROLLED_STOP, Cause.TIMING,
+          "the control loop falls behind the robot: commands stay in force too long", release=0.5, clears=CONTINUED,
+          ending="stopped", at_once=True),
     Check("state_lost", C.STATE_LOST, Rung.ESTOP, Cause.SENSING,
           "no joint state for so long that braking is blind", clears=TWO_STEP, ending="emergency"),
     Check("tracking_lost", C.TRACKING_LOST, Rung.ESTOP, Cause.DRIVE,
@@ -150,7 +158,8 @@ name only; **nothing here is certified**.
   (anti-chatter).
 - An ESTOP is latched. First its condition must go; then a *fresh* press of reset leads into HOLD; then `resume` leads
   out. A reset that was held from before does nothing.
-- A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins.
+- A CONTROLLED_STOP leaves the drive off until its condition is gone and the next contract begins. Where the loop itself
+  is late, it does not wait for the filter to brake: the drive goes off at once and brakes by itself.
 - Whatever ends a contract ends it with the outcome named here; only ESTOP and LOCKOUT need a person.
 - How conditions are sensed, with their thresholds: `safety/watch.py`, `safety/timing.py`, `safety/enforcement.py`."""
 
@@ -169,8 +178,9 @@ def _line(check: Check) -> str:
         TWO_STEP: "two-step reset", RESTART: "restart",
     }  # fmt: skip
     ending = check.ending.replace("_", " ") or "goes on"
+    action = f"{check.action.name}, drive off at once" if check.at_once else check.action.name
     return (
-        f"| `{check.name}` | {check.says} | {after} | {check.action.name} | {check.cause.value} | {ending} | "
+        f"| `{check.name}` | {check.says} | {after} | {action} | {check.cause.value} | {ending} | "
         f"{gone[check.clears]} |"
     )
 

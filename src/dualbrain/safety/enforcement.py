@@ -87,8 +87,8 @@ class Enforcement:
         return flags
 
     def _drive(self, order: Order, state: RobotState) -> int:
-        """Off at once for ESTOP; on again below CONTROLLED_STOP; while off, the brakes must hold."""
-        if order.action >= Rung.ESTOP and self.driving:
+        """Off at once for ESTOP or `Order.at_once`; on again below CONTROLLED_STOP; while off, the brakes must hold."""
+        if (order.action >= Rung.ESTOP or order.at_once) and self.driving:
             self._switch(state, driving=False)
         elif order.action < Rung.CONTROLLED_STOP and not self.driving:
             self._switch(state, driving=True)

@@ -39,11 +39,15 @@ class Cause(Enum):
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What holds now. `check` is the name of the strongest check that has tripped ("" for none)."""
+    """What holds now. `check` is the name of the strongest check that has tripped ("" for none).
+
+    `at_once`: the drive goes off at once and brakes by itself, whatever the rung.
+    """
 
     action: Rung = Rung.NONE
     cause: Cause = Cause.NOTHING
     check: str = ""
+    at_once: bool = False
 
 
 FREE = Order()

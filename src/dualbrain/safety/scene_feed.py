@@ -21,6 +21,7 @@ from dualbrain.records import STILL, Pose, Quaternion, Shape, Sphere, Vector
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.native import MOST_OBSTACLES
 from dualbrain.safety.obstacles import Obstacle
+from dualbrain.safety.repetition import Repetition, Sighting
 from dualbrain.safety.rows import Rank
 
 WORLD = "world"
@@ -31,12 +32,15 @@ FAR = 1000.0
 class Source(msgspec.Struct, frozen=True):
     """One sensor or map: `error` [m] of every position it tells, `oldest` [s] that it may be believed.
 
-    A source that is not `required` may stay silent: what it told last is dropped when it has become too old.
+    A source that is not `required` may stay silent: what it told last is dropped when it has become too old. What is
+    measured has noise: where something with an error comes again, equal to the bit and stamped anew, so often in a row
+    as `repeats`, the source hangs and is refused. None for one that may tell the same for ever, such as a map.
     """
 
     error: float
     oldest: float
     required: bool = True
+    repeats: int | None = 3
 
 
 class Mounted(msgspec.Struct, frozen=True):
@@ -99,6 +103,7 @@ class SceneFeed:
         self._sources, self._frames = dict(sources), {WORLD: Mounted(), **(frames or {})}
         self._placed = dict.fromkeys(self._frames, -inf)
         self._told: dict[str, _Told] = {}
+        self._repetition = {name: Repetition() for name in self._sources}
         for name, source in self._sources.items():
             if not (0.0 <= source.error < inf and 0.0 < source.oldest < inf):
                 raise InvalidSetup(f"source {name!r}", got=source, allowed="error of 0 or more, oldest above 0, finite")
@@ -117,7 +122,7 @@ class SceneFeed:
     ) -> Updated | Refused:  # fmt: skip
         """Replace what `source` told by `primitives`, seen in `frame` at `stamp` [s]; it is `now` [s]."""
         shapes = tuple(primitives)
-        why = self._doubt(source, frame, stamp, shapes, now)
+        why = self._doubt(source, frame, stamp, shapes, now) or self._frozen(source, stamp, shapes)
         if why:
             return Refused(source, why)
         obstacles = tuple(self._obstacle(source, frame, shape) for shape in shapes)
@@ -164,6 +169,16 @@ class SceneFeed:
         if frame not in self._frames:
             return f"frame {frame!r} is not known; known: {', '.join(self._frames)}"
         return self._late(source, frame, stamp, now) or _misshapen(shapes)
+
+    def _frozen(self, source: str, stamp: float, shapes: Sequence[Primitive]) -> str:
+        """Why this is no new picture. Shapes without any error are exempt: they are not measured."""
+        error, allowed = self._sources[source].error, self._sources[source].repeats
+        again = self._repetition[source].update(
+            Sighting(seen.name, stamp, seen, exact=error + seen.error + seen.velocity_error == 0.0) for seen in shapes
+        )
+        if allowed is None or again < allowed:
+            return ""
+        return f"equal to the bit for {again} pictures in a row: it hangs (a map says Source(repeats=None))"
 
     def _late(self, source: str, frame: str, stamp: float, now: float) -> str:
         """Why the time cannot be believed; written so that NaN is refused."""

@@ -15,6 +15,7 @@ from dualbrain.safety.checks import Ending
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.enforcement import Enforcement, Standstill
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.lateness import GAP, Lateness
 from dualbrain.safety.order import Order
 from dualbrain.safety.result import Filtered
 from dualbrain.safety.supervised import answers, supervised
@@ -26,8 +27,6 @@ Array = NDArray[np.float64]
 
 UNTOUCHED, STANDING, BRAKED = 1.0, -1.0, -2.0
 """What the supervisor did to a tick's control, as the trace holds it: a scale in [0, 1], or u = 0, or braking."""
-GAP = 2.5
-"""Periods between two ticks beyond which one was late."""
 SILENT = int(Condition.STATE_STALE | Condition.STATE_LOST | Condition.TICK_LOST)
 """What a bus that is silent looks like; some are while their drive is switched on."""
 UNUSABLE = int(Condition.STATE_IMPLAUSIBLE | Condition.STATE_REPEATED)
@@ -45,6 +44,7 @@ class Spine:
         self.supervisor = Supervisor()
         self.watch = Watch(safety.body, timing, bounds)
         self.enforcement = Enforcement(dials)
+        self.lateness = Lateness(timing.period)
         self.touched = UNTOUCHED
         joints = safety.body.joints
         self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
@@ -80,7 +80,7 @@ class Spine:
 
     def judge(self, state: RobotState, now: float, asked: int = 0) -> Order:
         """The order for this tick, from everything flagged since the last one and what is `asked` for now."""
-        asked |= self._gap(now)
+        asked |= self._gap(now) | self._behind(now, state.stamp)
         if self.stage < 1.0:
             asked |= Condition.SPEED_STAGE
         flags, self._pending = self._pending | asked, 0
@@ -112,6 +112,12 @@ class Spine:
         if not gap > GAP * self.watch.timing.period:  # also the first tick, and what is no number
             return 0
         return Condition.TICK_LOST | Condition.TICK_OVERRUN if gap > self.watch.timing.lost else Condition.TICK_OVERRUN
+
+    def _behind(self, now: float, stamp: float) -> int:
+        """Bits for commands that stay in force too long, as the robot's stamps and the layer's clock both have it."""
+        moving = bool(np.abs(self._u).max() > self.enforcement.dials.rest)
+        behind = self.lateness.update(now, stamp, moving=moving)
+        return Condition.LOOP_BEHIND if behind > self.watch.timing.behind else 0
 
     def control(self, state: RobotState, u_nom: Array, now: float, *, guard: bool = True) -> Filtered:
         """The control to write under the order in force: scaled, filtered, checked once more (`touched` says how)."""

@@ -42,7 +42,8 @@ class Supervisor:
     def __init__(self, checks: tuple[Check, ...] = CHECKS) -> None:
         """Nothing has happened yet. `checks` rise in severity, as in the table."""
         self._rows = tuple(
-            _Memory(int(check.on), check, Order(check.action, check.cause, check.name)) for check in checks
+            _Memory(int(check.on), check, Order(check.action, check.cause, check.name, check.at_once))
+            for check in checks
         )
         self._watched = 0
         for row in self._rows:

@@ -34,7 +34,8 @@ class Bounds(msgspec.Struct, frozen=True):
     """How far sources may part: `agree`, `follow` (stop) and `lost` (drive off) [rad]; `leak` T [s]; `speed` a share.
 
     `jump` [rad] is what a position may change beyond the speed limit between two states. `scene_old` and `scene_stale`
-    [s] are ages of a scene with moving things; `scene_ahead` [s]: how far its stamp may lie in the future.
+    [s] are ages of a scene with moving things; `scene_ahead` [s]: how far its stamp may lie in the future. So many
+    pictures in a row as `scene_frozen` that show a thing equal to the bit, though with noise, come from no camera.
     """
 
     agree: float = 0.01
@@ -46,6 +47,7 @@ class Bounds(msgspec.Struct, frozen=True):
     scene_old: float = 0.15
     scene_stale: float = 0.5
     scene_ahead: float = 0.05
+    scene_frozen: int = 3
 
 
 class Watch:

@@ -1,8 +1,9 @@
 """A calibrated RGB-D camera: coloured points in the world, without the robot's own body.
 
 A pixel (i, j) with depth d [m] along the optical axis lies at p = c + R (x d, y d, −d), x = (j + ½ − w/2)/f,
-y = (h/2 − i − ½)/f, f = h / (2 tan(fovy/2)). What is known of the robot is taken out: points within its own spheres at
-the measured joint angles. Nothing here reads which thing a pixel shows.
+y = (h/2 − i − ½)/f, f = h / (2 tan(fovy/2)). Every depth has noise of its own, as a sensor's has. What is known of the
+robot is taken out: points within its own spheres at the measured joint angles. Nothing here reads which thing a pixel
+shows.
 """
 
 # MuJoCo ships no type stubs:
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 VIEWS = ("top", "front", "side")
 FAR = 4.0
 """Depth beyond which nothing is used [m]."""
+NOISE = 0.0005
+"""Standard deviation of a depth [m]."""
 SKIN = 0.02
 """Points this near to one of the robot's own spheres count as the robot [m]."""
 
@@ -28,10 +31,17 @@ SKIN = 0.02
 class DepthCamera(Offscreen):
     """Looks at one plant from several sides; close it, or use it in a `with` block."""
 
-    def __init__(self, plant: Plant, *, width: int = 320, height: int = 240) -> None:
-        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none."""
+    def __init__(
+        self, plant: Plant, *, width: int = 320, height: int = 240, noise: float = NOISE,
+        rng: np.random.Generator | None = None,
+    ) -> None:  # fmt: skip
+        """Open an offscreen GL context; raises `MissingPart` with the packages to install when there is none.
+
+        `noise` [m] is the standard deviation of a depth, its chance comes from `rng` (none: always the same).
+        """
         super().__init__(plant, width, height)
         self._filter = SafetyFilter(plant.body)
+        self._noise, self._rng = noise, np.random.default_rng(0) if rng is None else rng
         self._rays = {view: self._directions(view, width, height) for view in VIEWS}
 
     def points(self) -> tuple[Array, Array]:
@@ -57,6 +67,7 @@ class DepthCamera(Offscreen):
         depth = renderer.render().ravel().astype(float)
         renderer.disable_depth_rendering()
         near = depth < FAR
+        depth += self._noise * self._rng.standard_normal(len(depth))
         rotation = data.cam_xmat[camera].reshape(3, 3)
         return data.cam_xpos[camera] + (self._rays[view][near] * depth[near, None]) @ rotation.T, colours[near]
 

@@ -6,7 +6,8 @@ calibration, the robot's own body, the table, and what is fixed to the room (a s
 way: scenes with a person are refused.
 
 Before the robot has moved everything is in view; later the arm hides things. A thing that is not seen, or not whole,
-stays where it was seen last. What the fingers feel between them moves with the hand until they let go of it.
+stays where it was seen last. What the fingers feel between them moves with the hand until they let go of it; a hand
+that rests feels nothing new.
 """
 
 from __future__ import annotations
@@ -109,7 +110,8 @@ class DepthPerception:
         name, offset, turn = self._held
         x, y, z = (position + rotation @ offset).tolist()
         pose = Pose((x, y, z), quaternion(rotation @ turn))
-        self._seen[name] = msgspec.structs.replace(self._seen[name], pose=pose, stamp=now)
+        if pose != self._seen[name].pose:
+            self._seen[name] = msgspec.structs.replace(self._seen[name], pose=pose, stamp=now)
 
 
 def _grips(plant: Plant) -> bool:

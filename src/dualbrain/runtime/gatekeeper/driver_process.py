@@ -4,7 +4,8 @@
 
 Each joint state goes up as it comes; the command that answers it is awaited for most of a period and handed to the
 driver. When the link is gone, or no command has come for `WATCHDOG`, the driver stops the arm; the arm's own watchdog
-stands behind that. There is no camera here: the scene is the surveyed one, in which nothing may move.
+stands behind that. There is no camera here: the scene is the surveyed one, in which nothing may move; its things keep
+the stamp of their survey, as nobody sees them anew.
 """
 
 from __future__ import annotations
@@ -73,8 +74,7 @@ class DriverProcess:
         state = self._driver.read()
         self._wire.send(bus.State.of(state))
         if self._ticks % LOOK_EVERY == 0:
-            seen = tuple(msgspec.structs.replace(thing, stamp=state.stamp) for thing in self._scene.objects)
-            self._wire.send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp, objects=seen)))
+            self._wire.send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp)))
         self._ticks += 1
 
     def _await_answer(self, deadline: float) -> None:

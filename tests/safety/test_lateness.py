@@ -1,0 +1,82 @@
+"""A loop that is behind the robot: what counts as late, when it is too much, and that no limit is reached meanwhile."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.drivers.franka import FrankaDriver
+from dualbrain.drivers.ur import UrDriver
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.lateness import GAP, MOST, Lateness
+from dualbrain.safety.order import Rung
+from dualbrain.safety.spine import Spine
+from dualbrain.safety.timing import FRANKA, SIMULATED, UR
+
+DT = 1e-3
+DRIVERS = {
+    "panda": (SIMULATED, WATCHDOG), "fr3": (FRANKA, FrankaDriver.watchdog), "ur5e": (UR, UrDriver.watchdog),
+}  # fmt: skip
+gaps = st.lists(st.floats(0.1 * DT, 80 * DT), min_size=1, max_size=40)
+
+
+def behind(by_clock, by_robot, *, moving=True):
+    """B after ticks with these gaps [s]."""
+    lateness, now, stamp, found = Lateness(DT), 5.0, 2.0, 0.0
+    lateness.update(now, stamp, moving=moving)
+    for clock, robot in zip(by_clock, by_robot, strict=True):
+        now, stamp = now + clock, stamp + robot
+        found = lateness.update(now, stamp, moving=moving)
+    return found
+
+
+@given(gaps)
+def test_what_was_late_is_the_sum_less_what_is_forgotten(late):
+    expected = sum(gap - DT for gap in late if gap > GAP * DT)
+    assert 0.0 <= behind(late, late) <= min(MOST, expected) + 1e-9
+    assert behind(late[-1:], late[-1:]) == pytest.approx(min(MOST, late[-1] - DT) if late[-1] > GAP * DT else 0.0)
+
+
+@given(gaps)
+def test_one_clock_alone_makes_nothing_late_nor_does_an_arm_that_stands(late):
+    punctual = [DT] * len(late)
+    assert behind(late, punctual) == behind(punctual, late) == behind(late, late, moving=False) == 0.0
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, -10.0])
+def test_times_that_cannot_be_leave_a_sum_that_can(wrong):
+    lateness = Lateness(DT)
+    for now, stamp in ((0.0, 0.0), (wrong, DT), (2 * DT, wrong), (wrong, wrong), (4 * DT, 4 * DT)):
+        assert 0.0 <= lateness.update(now, stamp, moving=True) <= MOST
+
+
+@pytest.mark.parametrize("robot", DRIVERS)
+def test_until_a_late_loop_is_stopped_no_joint_reaches_its_limit(robot):
+    """Before the stop at most `behind` and one gap are late; no gap outlasts the robot's own watchdog."""
+    timing, watchdog = DRIVERS[robot]
+    alpha = min(joint.acceleration.value / joint.velocity.value for joint in load_body(robot).joints)
+    assert alpha * (timing.behind + watchdog) < 1.0
+
+
+@pytest.mark.parametrize("robot", DRIVERS)
+def test_a_loop_of_ten_periods_a_tick_is_stopped_by_the_drive_itself_and_a_hiccup_is_not(robot):
+    body, (timing, _) = load_body(robot), DRIVERS[robot]
+    spine, state, checks = Spine(SafetyFilter(body), timing=timing), at_home(body), []
+    v = np.zeros(body.n)
+    for count in range(400):
+        gap = (10 if count >= 200 else 3 if count == 50 else 1) * timing.period
+        state = replace(state, stamp=state.stamp + gap, sequence=count + 1, q=state.q + gap * v, v=v)
+        spine.sensed(state, state.stamp)
+        checks.append(spine.judge(state, state.stamp).check)
+        if not spine.driving:
+            break
+        v = spine.control(state, np.full(body.n, 0.05), state.stamp).u
+    assert set(checks[:200]) <= {"", "tick_overrun"}
+    assert (checks[-1], spine.order.action) == ("loop_behind", Rung.CONTROLLED_STOP)
+    assert (len(checks) - 201) * 10 * timing.period < timing.behind + 0.02
+    assert np.abs(v).max() > 0.04, "it is the drive that brakes, not the late filter"
