@@ -80,3 +80,14 @@ def test_a_loop_of_ten_periods_a_tick_is_stopped_by_the_drive_itself_and_a_hiccu
     assert (checks[-1], spine.order.action) == ("loop_behind", Rung.CONTROLLED_STOP)
     assert (len(checks) - 201) * 10 * timing.period < timing.behind + 0.02
     assert np.abs(v).max() > 0.04, "it is the drive that brakes, not the late filter"
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e", "fr3", "base", "mobile_panda"])
+def test_a_tick_is_as_long_as_the_body_says_and_not_late_for_that(robot):
+    body = load_body(robot)
+    spine, state = Spine(SafetyFilter(body)), at_home(body)
+    u = np.array([0.5 * joint.velocity.value for joint in body.joints]) * 0.01
+    for count in range(30):
+        state = replace(state, stamp=state.stamp + body.period, sequence=count + 1)
+        assert spine.judge(state, state.stamp).check == ""
+        spine.control(state, u, state.stamp)

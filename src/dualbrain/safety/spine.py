@@ -44,7 +44,8 @@ class Spine:
         self.supervisor = Supervisor()
         self.watch = Watch(safety.body, timing, bounds)
         self.enforcement = Enforcement(dials)
-        self.lateness = Lateness(timing.period)
+        self._period = max(timing.period, safety.body.period)
+        self.lateness = Lateness(self._period)
         self.touched = UNTOUCHED
         joints = safety.body.joints
         self._brake = np.array([joint.acceleration.value for joint in joints]) * safety.body.period
@@ -109,7 +110,7 @@ class Spine:
     def _gap(self, now: float) -> int:
         """Bits for the time since the last tick, by the layer's own clock."""
         gap, self._then = now - self._then, now
-        if not gap > GAP * self.watch.timing.period:  # also the first tick, and what is no number
+        if not gap > GAP * self._period:  # also the first tick, and what is no number
             return 0
         return Condition.TICK_LOST | Condition.TICK_OVERRUN if gap > self.watch.timing.lost else Condition.TICK_OVERRUN
 
