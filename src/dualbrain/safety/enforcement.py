@@ -80,7 +80,7 @@ class Enforcement:
                 self.anchor = state.q.copy()
             elif not state.stamp - self._since <= self.dials.stop:
                 flags |= C.STOP_OVERDUE
-        elif not np.abs(state.q - self.anchor).max() <= self.dials.drift:
+        elif not strayed(self.anchor, state).max() <= self.dials.drift:
             flags |= C.DRIFT
         if order.action >= Rung.CONTROLLED_STOP and self.anchor is not None:
             self._switch(state, driving=False)
@@ -94,7 +94,7 @@ class Enforcement:
             self._switch(state, driving=True)
         if self.driving or self._off_at is None or not state.stamp > self._off_at:  # nothing is known since
             return 0
-        moved = np.abs(state.q - self._off_q)
+        moved = strayed(self._off_q, state)
         braked = state.stamp - self._off_at > self.dials.brakes
         fast = braked and not np.abs(state.v).max() <= 10.0 * self.dials.rest
         return C.FALLING if fast or not (moved <= self._coast).all() else 0
@@ -102,3 +102,9 @@ class Enforcement:
     def _switch(self, state: RobotState, *, driving: bool) -> None:
         self.driving, self._off_at, self._off_q = driving, None if driving else state.stamp, state.q.copy()
         self._coast = self.dials.fall + self.dials.brakes * np.abs(state.v)
+
+
+def strayed(q: Array, state: RobotState) -> Array:
+    """How far each control's part (n,) has come from `q` [m, rad]; of a base the way, in whatever direction."""
+    moved = np.abs(state.q - q)
+    return moved if len(q) == len(state.v) else np.array([np.hypot(moved[0], moved[1]), *moved[2:]])
