@@ -4,6 +4,9 @@
 
 What is finished is skipped, so a run that was stopped (or killed) goes on where it was. Progress goes to stderr, tables
 to stdout; `--write-docs` renders them into docs/proofs.md, and the sweep into docs/learnable.md and its plot.
+
+`--keep` copies a journal to benchmarks/journals, where it is committed: a proof of hours goes on from there in another
+checkout, and its figures can be counted again. `--fresh` forgets it.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from proofs.proof import Options, Proof
 from dualbrain.planner.registry import DEFAULT_PLANNER
 
 ROOT = Path(__file__).resolve().parents[1]
+KEPT = ROOT / "benchmarks" / "journals"
+"""Journals that are committed."""
 
 
 def main() -> int:
@@ -32,8 +37,13 @@ def main() -> int:
     names = asked.names or list(PROOFS)
     whole = True
     for name in names:
+        journal, kept = Journal(asked.folder / f"{name}.jsonl"), KEPT / f"{name}.jsonl"
+        if not asked.fresh:
+            journal.begin_with(kept)
         if not asked.tables:
             whole &= advance(PROOFS[name], options, asked)
+        if asked.keep:
+            journal.copy_to(kept)
         sys.stdout.write("\n".join(account(PROOFS[name], asked.folder)) + "\n")
         sys.stdout.flush()
     if asked.write_docs:
@@ -51,6 +61,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--fresh", action="store_true", help="set the old journal aside and start anew")
     parser.add_argument("--tables", action="store_true", help="run nothing, only print what is there")
     parser.add_argument("--write-docs", action="store_true", help="render the figures into docs/")
+    parser.add_argument("--keep", action="store_true", help="copy the journals to benchmarks/journals, to be committed")
     parser.add_argument("--folder", type=Path, default=ROOT / "prove", help="where the journals lie (default prove/)")
     return parser.parse_args(arguments)
 

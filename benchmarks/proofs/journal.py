@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 from proofs.proof import Row
@@ -40,6 +41,18 @@ class Journal:
             file.write(json.dumps(row, separators=(",", ":"), default=float).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
+
+    def begin_with(self, kept: Path) -> None:
+        """Start as a copy of `kept`, if that exists and this file does not."""
+        if kept.exists() and not self.path.exists():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(kept, self.path)
+
+    def copy_to(self, kept: Path) -> None:
+        """Write the last row of each unit to `kept`, in place of what is there."""
+        lines = [json.dumps(row, separators=(",", ":")) + "\n" for row in self.rows()]
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text("".join(lines))
 
     @staticmethod
     def _whole(file) -> bool:

@@ -36,3 +36,20 @@ def test_an_error_is_done_again_and_the_last_word_counts(tmp_path):
 
 def test_no_file_means_nothing_done(tmp_path):
     assert Journal(tmp_path / "none.jsonl").rows() == []
+
+
+def test_a_kept_journal_is_where_another_checkout_begins(tmp_path):
+    journal, kept = Journal(tmp_path / "here" / "a.jsonl"), tmp_path / "kept" / "a.jsonl"
+    journal.begin_with(kept)
+    assert journal.rows() == []
+    journal.append({"key": "a", "value": 1})
+    journal.append({"key": "b", "error": "broke"})
+    journal.append({"key": "a", "value": 2})
+    journal.copy_to(kept)
+    assert len(kept.read_text().splitlines()) == 2
+    elsewhere = Journal(tmp_path / "there" / "a.jsonl")
+    elsewhere.begin_with(kept)
+    assert elsewhere.rows() == journal.rows()
+    elsewhere.append({"key": "b", "value": 3})
+    elsewhere.begin_with(kept)
+    assert elsewhere.finished() == {"a", "b"}
