@@ -11,6 +11,7 @@
 #include <stdexcept>
 
 #include "dbk/dbk.h"
+#include "spares.h"
 
 // (count,) numbers as a float64 array: itself where it is one, else a copy; std::invalid_argument where it cannot be one
 inline nanobind::object vector(nanobind::handle from, size_t count, const char *what) {
@@ -37,14 +38,24 @@ inline nanobind::object take(nanobind::handle from, dbk_real *to, size_t count, 
   return kept;
 }
 
-// a new float64 array of `count` numbers
-inline nanobind::object give(const dbk_real *from, size_t count) {
-  npy_intp size = static_cast<npy_intp>(count);
-  nanobind::object made = nanobind::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
-  if (!made.is_valid()) { throw nanobind::python_error(); }
-  auto *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(made.ptr())));
+// whether a float64 array (count,) made here is still one: who held it may have given it another shape, or locked it
+inline bool as_made(nanobind::handle kept, size_t count) {
+  auto *array = reinterpret_cast<PyArrayObject *>(kept.ptr());
+  return PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY(array) && PyArray_NDIM(array) == 1 &&
+         PyArray_DIM(array, 0) == static_cast<npy_intp>(count);
+}
+
+// a float64 array of `count` numbers, new or spare
+inline nanobind::object give(const dbk_real *from, size_t count, Spares &spares) {
+  nanobind::object &mine = spares.array[spares.turn ^= 1];
+  if (!mine.is_valid() || Py_REFCNT(mine.ptr()) != 1 || !as_made(mine, count)) {
+    npy_intp size = static_cast<npy_intp>(count);
+    mine = nanobind::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
+    if (!mine.is_valid()) { throw nanobind::python_error(); }
+  }
+  auto *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(mine.ptr())));
   for (size_t i = 0; i < count; ++i) { data[i] = static_cast<double>(from[i]); }
-  return made;
+  return mine;
 }
 
 #endif

@@ -9,6 +9,7 @@
 
 #include "buffers.h"
 #include "dbk/dbk.h"
+#include "spares.h"
 
 namespace nb = nanobind;
 
@@ -19,6 +20,7 @@ struct Kernel {
   dbk_in in{};
   dbk_out out{};
   size_t n = 0;
+  Spares controls;                   // what answers that nobody holds any more came in
   nb::object answer_type, statuses;  // what a step answers with, and its status by number
 
   explicit Kernel(const nb::dict &d);

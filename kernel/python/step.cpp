@@ -53,8 +53,8 @@ nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, double ope
   expect(answer_type.is_valid(), "answer_with comes first");
   const nb::object wish = load(q, v, u_nom, opening, state_age, scene_age);
   dbk_step(model.get(), scene.get(), ctx.get(), &in, &out);
-  return answer_type(give(out.u, n), wish, names, nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)), out.flags,
-                     double(out.delta), double(out.delta_rows), double(out.delta_box), double(out.h_min),
+  return answer_type(give(out.u, n, controls), wish, names, nb::borrow(PyTuple_GET_ITEM(statuses.ptr(), out.status)),
+                     out.flags, double(out.delta), double(out.delta_rows), double(out.delta_box), double(out.h_min),
                      out.certified != 0, out.iterations, out.n_rows, active(), out.relaxed);
 }
 

@@ -78,3 +78,37 @@ def test_the_spine_writes_braking_in_the_place_of_an_old_answer(rng):
     assert k < 70, "found within a few periods"
     assert spine.touched < 0.0
     assert abs(written.u[0]) < abs(kept[60].u[0]), "it brakes"
+
+
+HOLDS = {
+    "answer": lambda answer: answer, "control": lambda answer: answer.u, "view": lambda answer: answer.u[2:],
+    "buffer": lambda answer: memoryview(answer.u), "transposed": lambda answer: answer.u.reshape(-1, 1).T,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_an_answer_that_somebody_holds_never_changes(hold, panda, rng):
+    """Every third is held, in whatever way; the others are let go, and their arrays may come again."""
+    safety, held = SafetyFilter(panda), []
+    for k in range(90):
+        answer = safety(panda.home, np.zeros(7), rng.normal(size=7))
+        if k % 3 == 0:
+            held.append((HOLDS[hold](answer), answer.u.copy()))
+    for kept, was in held:
+        got = np.asarray(kept.u if hold == "answer" else kept).ravel()
+        np.testing.assert_array_equal(got, was[-len(got) :])
+    assert len({tuple(was) for _, was in held}) == len(held)
+
+
+def test_whatever_was_done_to_a_control_the_next_is_an_array_to_write_into(panda, rng):
+    safety = SafetyFilter(panda)
+    for spoil in (
+        lambda u: u.setflags(write=False), lambda u: setattr(u, "shape", (7, 1)), lambda u: setattr(u, "shape", (1, 7)),
+        lambda u: setattr(u, "dtype", np.int64), lambda u: setattr(u, "dtype", ">f8"),
+        lambda u: u.resize(3, refcheck=False),
+    ):  # fmt: skip
+        for _ in range(4):
+            spoil(safety(panda.home, np.zeros(7), rng.normal(size=7)).u)
+            u = safety(panda.home, np.zeros(7), np.zeros(7)).u
+            assert (u.shape, u.dtype, u.flags.writeable, u.dtype.isnative) == ((7,), np.float64, True, True)
+            assert np.all(np.isfinite(u))
