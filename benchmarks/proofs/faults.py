@@ -8,13 +8,15 @@ from typing import Any
 import msgspec
 
 from dualbrain.runtime.fault_trial import inject
-from dualbrain.runtime.faults import KINDS, MOMENTS, SOURCES, Fault
+from dualbrain.runtime.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES, Fault
 from proofs.faults_tables import summary
 from proofs.proof import Options, Row, Unit
 
 BODIES = ("panda", "ur5e", "fr3")
 SCENES = ("bare:0", "tabletop:1", "forearm:0")
 """Nothing but the errand; neighbours; a person's forearm that crosses."""
+ROOMS = ("boxes:0", "crossing:1")
+"""Crates on the way; a person who crosses it."""
 
 
 class Faults:
@@ -22,26 +24,20 @@ class Faults:
 
     name = "faults"
     claim = (
-        "Whatever breaks, in whatever way, at the worst moment, on each arm: the declared order (or a stronger one) "
-        "comes, and the independent monitor sees nothing unsafe."
+        "Whatever breaks, in whatever way, at the worst moment, on each arm and on a base: the declared order (or a "
+        "stronger one) comes, and the independent monitor sees nothing unsafe."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """7 sources × 7 kinds × 6 moments × 3 bodies = 882, so mixed that any prefix covers all sources.
+        """7 sources × 7 kinds × (6 moments × 3 arms + 2 moments of a base) = 980; any prefix covers all sources.
 
-        The scenes go round, as in a Latin square: every fault meets each of them at two moments on each body.
+        The scenes go round, as in a Latin square: every fault meets each of them at two moments on each arm, and the
+        base meets crates and a person at one each.
         """
         del options
-        sizes = [range(len(axis)) for axis in (BODIES, MOMENTS, KINDS, SOURCES)]
-        cells = list(product(*sizes))
-        order = sorted(range(len(cells)), key=lambda k: (k * 283) % len(cells))
-        return [self._unit(*cells[k]) for k in order]
-
-    def _unit(self, body: int, moment: int, kind: int, source: int) -> Unit:
-        scene = SCENES[(body + moment + kind + source) % len(SCENES)]
-        fault = [SOURCES[source], KINDS[kind], MOMENTS[moment]]
-        about = {"body": BODIES[body], "scene": scene, "fault": fault}
-        return Unit("/".join((BODIES[body], *fault, scene)), about)
+        arms, base = _mixed(BODIES, MOMENTS, SCENES), _mixed(("base",), ON_WHEELS, ROOMS)
+        placed = [(k / len(group), unit) for group in (arms, base) for k, unit in enumerate(group)]
+        return [unit for _, unit in sorted(placed, key=lambda one: one[0])]
 
     def run(self, about: dict[str, Any]) -> Row:
         """One injected episode."""
@@ -58,3 +54,16 @@ class Faults:
         """By body and moment; every exception by name. The whole matrix has a page of its own."""
         bad = [row for row in rows if not (row["safe"] and row["as_declared"])]
         return summary(rows) + [f"- {row['key']}: {self.brief(row)}; {row['reason']}; {row['unsafe']}" for row in bad]
+
+
+def _mixed(bodies: tuple[str, ...], moments: tuple[str, ...], scenes: tuple[str, ...]) -> list[Unit]:
+    """Every cell once, in an order in which neighbours differ in everything."""
+    cells = list(product(*(range(len(axis)) for axis in (bodies, moments, KINDS, SOURCES))))
+    order = sorted(range(len(cells)), key=lambda k: (k * 283) % len(cells))
+    found: list[Unit] = []
+    for body, moment, kind, source in (cells[k] for k in order):
+        scene = scenes[(body + moment + kind + source) % len(scenes)]
+        fault = [SOURCES[source], KINDS[kind], moments[moment]]
+        about = {"body": bodies[body], "scene": scene, "fault": fault}
+        found.append(Unit("/".join((bodies[body], *fault, scene)), about))
+    return found

@@ -39,14 +39,15 @@ def matrices(rows: list[Row]) -> list[str]:
     lines: list[str] = []
     for body in _bodies(rows):
         cells = {tuple(row["fault"]): row for row in rows if row["body"] == body}
-        columns = ("acknowledgement" if name == ACKNOWLEDGED else name for name in MOMENTS)
+        moments = [name for name in MOMENTS if any(fault[2] == name for fault in cells)]
+        columns = ("acknowledgement" if name == ACKNOWLEDGED else name for name in moments)
         head = ("fault", "declared", *columns, "reaction, worst", "at rest after, worst")
-        lines += [f"### {body}", "", *table(head, (_line(cells, s, k) for s in SOURCES for k in KINDS))]
+        lines += [f"### {body}", "", *table(head, (_line(cells, s, k, moments) for s in SOURCES for k in KINDS))]
     return lines
 
 
-def _line(cells: dict[tuple[str, ...], Row], source: str, kind: str) -> tuple[str, ...]:
-    found = [cells.get((source, kind, moment)) for moment in MOMENTS]
+def _line(cells: dict[tuple[str, ...], Row], source: str, kind: str, moments: list[str]) -> tuple[str, ...]:
+    found = [cells.get((source, kind, moment)) for moment in moments]
     flown = [row for row in found if row is not None]
     declared = sorted({row["expected"] for row in flown}, key=lambda name: Rung[name])
     struck = [row for row in flown if row["struck"] is not None]

@@ -62,6 +62,22 @@ def test_a_planner_that_talks_rubbish_is_refused_and_its_contract_goes_on():
 
 
 @pytest.mark.parametrize(
+    ("source", "kind", "scene"),
+    [
+        ("state", "garbage", "boxes:0"), ("scene", "stuck", "crossing:1"), ("clock", "wrong", "boxes:0"),
+        ("qp", "slow", "boxes:0"), ("drive", "off", "crossing:1"), ("socket", "off", "crossing:1"),
+    ],
+)  # fmt: skip
+def test_a_base_at_full_speed_is_stopped_as_declared_too(source, kind, scene):
+    report = inject(Fault(source, kind, "closing"), robot="base", scene=scene)
+    assert report.struck is not None
+    assert report.as_declared, report
+    assert report.safe, report
+    assert report.other == ()
+    assert "program_error" not in report.checks
+
+
+@pytest.mark.parametrize(
     ("robot", "source", "kind", "moment", "scene", "check"),
     [
         ("fr3", "qp", "slow", "closing", "bare:0", "loop_behind"),

@@ -36,7 +36,7 @@ def fault(
     moment
         When it strikes; acknowledgement: between a command and the state that answers it; drawn: one of these, by seed.
     scene
-        Which world, with a red cube and a blue bowl in it.
+        Which world, with a red cube and a blue bowl in it; for a base one with a shelf (boxes:0, crossing:1).
     robot
         Which body.
     seed

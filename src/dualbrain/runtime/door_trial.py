@@ -26,6 +26,7 @@ from dualbrain.runtime.trace import Trace
 from dualbrain.runtime.vocabulary import PLANNER
 from dualbrain.safety.timing import SIMULATED
 from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
@@ -109,12 +110,12 @@ def attend(
 
     `seen` may put an observer of truth into the world before it begins.
     """
-    plant = Plant(spec, body)
+    plant = open_plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])))
     seen(plant, world)
     injector = Injector(fault, lambda: plant.now)
-    robot = LockstepRobot(FaultyRobot(plant, injector), world, plant, injector)
-    found, outcomes = Attended(plant, world, injector, Trace(body.n)), list[Outcome]()
+    robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector)
+    found, outcomes = Attended(plant, world, injector, Trace(body.n, body.width)), list[Outcome]()
     registry = registry_of(body)
     with tempfile.TemporaryDirectory(prefix="dualbrain-") as name:
         keys, door = open_keys(Path(name) / "k"), Door(Path(name) / "s")
@@ -123,9 +124,10 @@ def attend(
             monotonic=lambda: plant.now, ended=outcomes.append,
         )  # fmt: skip
         context = {"robot": body.name, "registry": registry.hash}
+        speed = "max_speed" if body.mobile else "speed"
         texts = [
             msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})
-            for actions in (errand, [{**errand[0], "params": {**errand[0]["params"], "speed": FOLLY}}])
+            for actions in (errand, [{**errand[0], "params": {**errand[0]["params"], speed: FOLLY}}])
         ]
         commander = FaultyCommander(door.path, keys, PLANNER, injector, *texts)
         over: list[float] = []

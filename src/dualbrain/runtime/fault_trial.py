@@ -1,8 +1,9 @@
-"""One injected episode in lockstep: a pick and place that breaks at its moment, judged by the independent monitor."""
+"""One injected episode in lockstep: an errand that breaks at its moment, judged by the independent monitor."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,6 +21,7 @@ from dualbrain.runtime.trace import Event, Trace
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.safety.order import Rung
 from dualbrain.world.catalogue import open_scene
+from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_spec import SceneSpec
@@ -29,6 +31,7 @@ GRASP = {
     "approach": "top", "wait": "none", "force": 20.0,
 }  # fmt: skip
 PLACE = {"destination": "blue_bowl", "speed": 0.35, "clearance": 0.15, "route": "direct", "wait": "none"}
+DRIVE = {"place": "shelf", "max_speed": 0.6, "max_turn_rate": 1.0}
 UNSAFE = ("collision_env", "collision_human", "self_collision", "collision_held", "joint_limit", "joint_velocity")
 """Kinds of violation that a fault must not lead to; others (a load that was let go) are listed."""
 AT_REST = 0.02
@@ -70,11 +73,14 @@ class FaultReport(msgspec.Struct, frozen=True):
 
 
 def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", seed: int = 0) -> FaultReport:
-    """Carry out a pick and place of the red cube that breaks by `fault`; nothing of it reaches a memory."""
+    """Carry out a pick and place of the red cube (or a drive to the shelf) that breaks by `fault`.
+
+    Nothing of it reaches a memory.
+    """
     body, spec = load_body(robot), open_scene(scene, robot)
     if fault.source in AT_THE_DOOR:
         return _at_the_door(fault, body, spec, scene, seed)
-    plant = Plant(spec, body)
+    plant = open_plant(spec, body)
     world = SimulatedWorld(plant, Perception(spec, Noise(), np.random.default_rng([seed, 1])))
     injector = Injector(fault, lambda: plant.now)
     safety = SafetyFilter(body)
@@ -85,12 +91,12 @@ def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", see
         injector.phase(phase)
 
     told: list[tuple[float, Event]] = []  # with true times: the robot's own stamps may be what is broken
-    log = FlightLog(Trace(body.n), None, lambda event: told.append((plant.now, event)))
+    log = FlightLog(Trace(body.n, body.width), None, lambda event: told.append((plant.now, event)))
     layer = LocalLayer(
-        body, FaultyRobot(plant, injector), FaultyWorld(world, injector), safety, log, LayerConfig(settle=SETTLE),
+        body, FaultyRobot(plant, injector, body), FaultyWorld(world, injector), safety, log, LayerConfig(settle=SETTLE),
         phase_changed=phase_changed, clock=faulty_clock(lambda: plant.now, injector),
     )  # fmt: skip
-    contract = Contract("c-0001", Context(robot, ""), (Action("grasp", GRASP), Action("place", PLACE)))
+    contract = Contract("c-0001", Context(robot, ""), tuple(Action(*one) for one in errand(body)))
     watched = _Watched(plant)
     setattr(world, "advance", watched.after(world.advance))  # noqa: B010  (an observer of truth, for this one world)
     outcome = layer.run(contract)
@@ -113,16 +119,21 @@ def inject(fault: Fault, *, robot: str = "panda", scene: str = "tabletop:1", see
     )  # fmt: skip
 
 
+def errand(body: Body) -> tuple[tuple[str, dict[str, Any]], ...]:
+    """Skills and parameters of what is broken: a pick and place, or a drive at full speed."""
+    return (("drive_to", DRIVE),) if body.mobile else (("grasp", GRASP), ("place", PLACE))
+
+
 def _at_the_door(fault: Fault, body: Body, spec: SceneSpec, scene: str, seed: int) -> FaultReport:
     """The same errand, proposed to a gatekeeper; its stamps are true, for the robot is whole."""
-    errand = [{"skill": "grasp", "params": GRASP}, {"skill": "place", "params": PLACE}]
+    asked = [{"skill": skill, "params": params} for skill, params in errand(body)]
     watched: list[_Watched] = []
 
     def seen(plant: Plant, world: SimulatedWorld) -> None:
         watched.append(_Watched(plant))
         setattr(world, "advance", watched[0].after(world.advance))  # noqa: B010  (as above)
 
-    found = attend(fault, body, spec, errand, seed, AFTERMATH, seen)
+    found = attend(fault, body, spec, asked, seed, AFTERMATH, seen)
     struck, expected = found.injector.struck, fault.expected(moving=spec.mover is not None)
     orders = [(e.t, Rung[e.data["action"]]) for e in found.trace.events if e.kind == "order" and "action" in e.data]
     since = [(t, rung) for t, rung in orders if struck is not None and t >= struck - body.period]

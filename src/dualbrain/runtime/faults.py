@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import msgspec
 import numpy as np
 
+from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.errors import UnknownName
 from dualbrain.records import Pose, Scene, SceneObject
@@ -28,12 +29,15 @@ Moment = Literal["closing", "descending", "grasping", "carrying", "lowering", "b
 SOURCES, KINDS, MOMENTS = get_args(Source), get_args(Kind), get_args(Moment)
 
 PHASES: dict[str, tuple[str, ...]] = {
-    "closing": ("approach", "carry"), "descending": ("descend",), "grasping": ("close",), "carrying": ("carry",),
-    "lowering": ("lower",), "between write and acknowledgement": ("approach", "carry"),
+    "closing": ("approach", "carry", "drive"), "descending": ("descend",), "grasping": ("close",),
+    "carrying": ("carry",), "lowering": ("lower",),
+    "between write and acknowledgement": ("approach", "carry", "drive"),
 }  # fmt: skip
 """The phases in which a moment can come."""
+ON_WHEELS = ("closing", "between write and acknowledgement")
+"""The moments that a base has, too: at full speed toward a crate or a person."""
 FULL_SPEED = 0.3
-"""Closing, and a lost acknowledgement, strike when a joint faster than this [rad/s] has just passed its peak."""
+"""Closing, and a lost acknowledgement, strike when a joint or base faster than this (SI) has passed its peak."""
 
 LATE = 0.08
 """How late what is delayed comes [s]."""
@@ -118,7 +122,7 @@ class Injector:
         self._since, self._fastest = None, 0.0
 
     def moved(self, speed: float) -> None:
-        """The arm moves at `speed` [rad/s], its fastest joint."""
+        """The arm moves at `speed` [rad/s], its fastest joint; a base drives [m/s]."""
         if self.struck is not None or self._phase not in PHASES[self.fault.moment]:
             return
         self._fastest = max(self._fastest, speed)
@@ -139,27 +143,31 @@ class Injector:
 class FaultyRobot:
     """A robot whose joint states or drive break."""
 
-    def __init__(self, robot: Robot, injector: Injector) -> None:
-        """Stand before `robot`."""
+    def __init__(self, robot: Robot, injector: Injector, body: Body) -> None:
+        """Stand before `robot`, which has this `body`."""
         self._robot, self._injector = robot, injector
+        self._period, self._drives = body.period, body.mobile
         self._last = robot.read()
         self._kept: deque[RobotState] = deque()
         self._commands: deque[tuple[float, Command]] = deque()
         self._stuck: Command | None = None
-        self._u = np.zeros(len(self._last.q))
+        self._u = np.zeros(body.n)
         self._count = 0
 
     def read(self) -> RobotState:
         """The newest state, if the source lets it through."""
         injector, state = self._injector, self._robot.read()
         if injector.fault.moment != "between write and acknowledgement":
-            injector.moved(float(np.abs(state.v).max()))
+            injector.moved(self._speed(state))
         self._count += 1
         self._kept.append(state)
         while len(self._kept) > 1 and self._kept[1].stamp <= state.stamp - LATE:
             self._kept.popleft()
         self._last = self._broken(state) if injector.strikes("state") else state
         return self._last
+
+    def _speed(self, state: RobotState) -> float:
+        return float(np.abs(state.v[:1] if self._drives else state.v).max())
 
     def _broken(self, state: RobotState) -> RobotState:
         rng = self._injector.rng
@@ -184,7 +192,7 @@ class FaultyRobot:
         Between this and the next state lies the acknowledgement: that moment's faults strike here.
         """
         if self._injector.fault.moment == "between write and acknowledgement":
-            self._injector.moved(float(np.abs(self._last.v).max()))
+            self._injector.moved(self._speed(self._last))
         self._commands.append((self._injector.now(), command))
         while len(self._commands) > 1 and self._commands[1][0] <= self._injector.now() - LATE:
             self._commands.popleft()
@@ -207,7 +215,7 @@ class FaultyRobot:
             case "wrong":
                 return replace(command, u=-command.u)
             case "slow":
-                self._u = self._u + (command.u - self._u) * (1e-3 / LAG)
+                self._u = self._u + (command.u - self._u) * (self._period / LAG)
                 return replace(command, u=self._u)
             case "delayed":
                 return self._commands[0][1]
@@ -292,7 +300,7 @@ class BrokenFilterError(RuntimeError):
 def break_filter(safety: SafetyFilter, injector: Injector) -> None:
     """Make the filter's answers break, behind the checks that are inside the kernel itself."""
     usual = safety.filter
-    kept: deque[Filtered] = deque(maxlen=round(LATE * 1e3))
+    kept: deque[Filtered] = deque(maxlen=round(LATE / safety.body.period))
 
     def broken(state: RobotState, u_nom: Any, now: float) -> Filtered:
         result = usual(state, u_nom, now)

@@ -39,7 +39,7 @@ def test_glimpses_come_some_fifteen_times_a_second_of_the_robots_time(tmp_path):
             if came and now > came[0] + SECONDS:
                 keeper.shut_down()
 
-        robot = LockstepRobot(FaultyRobot(plant, injector), world, plant, injector, each)
+        robot = LockstepRobot(FaultyRobot(plant, injector, body), world, plant, injector, each)
         keeper = Gatekeeper(body, robot, door, keys, {"planner": full(registry_of(body))}, timing=SIMULATED)
         keeper.run()
         door.close()
