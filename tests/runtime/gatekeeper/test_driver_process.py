@@ -9,7 +9,9 @@ import pytest
 
 from dualbrain.records import Scene
 from dualbrain.runtime.gatekeeper import bus
-from dualbrain.runtime.gatekeeper.driver_process import DriverProcess
+from dualbrain.runtime.gatekeeper.driver_process import LOOK_EVERY, DriverProcess, surveyed
+from dualbrain.runtime.scene_watch import SceneWatch
+from dualbrain.world.catalogue import open_scene
 from tests.drivers.subjects import ur
 
 PATIENCE = 20.0
@@ -87,3 +89,24 @@ def test_bytes_that_are_no_packet_end_the_motion(wire):
 def test_silence_ends_the_motion(wire):
     driven(wire)
     wire.until(lambda state: not state.driven)
+
+
+def test_a_surveyed_scene_is_told_for_ever_and_is_no_camera_that_hangs():
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.settimeout(PATIENCE)
+    driver, watch, looks = ur().driver, SceneWatch(), 0
+    process = DriverProcess(driver, surveyed(open_scene("tabletop:1", "ur5e")), theirs)
+    for _ in range(10 * LOOK_EVERY):
+        driver.wait()
+        process._tell()
+        packets = [bus.from_robot(ours.recv(bus.PACKET))]
+        if process._ticks % LOOK_EVERY == 1:
+            packets.append(bus.from_robot(ours.recv(bus.PACKET)))
+        for packet in packets:
+            if isinstance(packet, bus.Seen):
+                looks += 1
+                assert not watch.update(packet.scene) | watch.age(packet.scene, packet.scene.stamp)
+    assert looks == 10
+    assert packet.stamp > 0.0
+    ours.close()
+    theirs.close()
