@@ -48,9 +48,10 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
 def rotation_error(current: Array, wanted: Array) -> Array:
     """Rotation vector (3,) in the world that turns `current` into `wanted`: log(wanted currentᵀ)."""
     turn = wanted @ current.T
-    x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn.tolist()
+    x, y, z = zy - yz, xz - zx, yx - xy
     sine = 0.5 * sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+    cosine = 0.5 * (xx + yy + zz - 1.0)
     if sine < 1e-6 and cosine < 0.0:  # half a turn: the antisymmetric part vanishes
         w, *axis = quaternion(turn)
         return 2.0 * atan2(sqrt(max(0.0, 1.0 - w * w)), w) * np.asarray(axis)

@@ -11,6 +11,7 @@ from dualbrain.embodiment.robot import Command
 from dualbrain.records import Box
 from dualbrain.skills.chassis import wrapped
 from dualbrain.skills.floor_path import clearance, floor_path
+from dualbrain.skills.thought import at_once
 from dualbrain.world.scene_spec import Thing
 
 
@@ -94,12 +95,12 @@ def test_a_path_keeps_the_footprint_clear_of_everything():
     hall = Hall("boxes", 4)
     scene = hall.layer.scene
     goal = np.array(hall.spec.place("shelf").position[:2])
-    path = floor_path(scene, np.zeros(2), goal, 0.3)
+    path = at_once(floor_path(scene, np.zeros(2), goal, 0.3))
     assert np.allclose(path[0], 0.0)
     assert np.allclose(path[-1], goal)
     dense = np.vstack([a + np.linspace(0, 1, 200)[:, None] * (b - a) for a, b in pairwise(path)])
     assert clearance(scene, dense).min() > 0.3
-    assert floor_path(scene, np.zeros(2), np.array([9.0, 0.0]), 0.3) is None
+    assert at_once(floor_path(scene, np.zeros(2), np.array([9.0, 0.0]), 0.3)) is None
 
 
 def test_the_footprint_covers_the_housing():

@@ -15,6 +15,7 @@ from dualbrain.skills.limb import Limb
 from dualbrain.skills.progress import STANDSTILL
 from dualbrain.skills.route import NEAR_BASE
 from dualbrain.skills.skill import Ending, Senses, Status
+from dualbrain.skills.thought import at_once
 
 BODY = load_body("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
@@ -45,6 +46,8 @@ class Paper:
                 nominal = next(part)
             except StopIteration as over:
                 return over.value
+            if nominal is None:  # it thinks: here that takes no time
+                continue
             if not self.phases or self.phases[-1] != nominal.phase:
                 self.phases.append(nominal.phase)
             u = self.safety.filter(self.state, nominal.u, self.now).u
@@ -58,7 +61,7 @@ class Paper:
         raise AssertionError("the story did not end")
 
     def goal(self, *position):
-        return self.limb.goal(np.array(position), [self.limb.senses.tool.rotation.copy()])
+        return at_once(self.limb.goal(np.array(position), [self.limb.senses.tool.rotation.copy()]))
 
 
 def wall(height, start=0.40, end=1.0):

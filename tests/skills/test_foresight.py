@@ -1,4 +1,4 @@
-"""Foresight: distances against sampling, what counts, and the choice of the clearest."""
+"""Foresight: distances against sampling, what counts, and where a rehearsal may be broken off."""
 
 import numpy as np
 import pytest
@@ -11,9 +11,10 @@ from dualbrain.embodiment.solids import distance
 from dualbrain.linalg import matrix
 from dualbrain.records import Box, Capsule, HalfSpace, Pose, Scene, SceneObject, Sphere
 from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.foresight import AIR, NEARER, Foresight, clearest
+from dualbrain.skills.foresight import NEARER, STRIDE, Foresight, View
 from dualbrain.skills.limb import Goal
 from dualbrain.skills.skill import Touch
+from dualbrain.skills.thought import at_once
 
 BODY = load_body("panda")
 SAFETY = SafetyFilter(BODY)
@@ -36,8 +37,9 @@ def scene(*things):
     return Scene("panda", 0.0, 1, things)
 
 
-def room(*things, postures=(HOME,), **others):
-    return Foresight(BODY, SAFETY).clearance(postures, 0.02, scene(*things), others.pop("held", None), **others)
+def room(*things, points=(), leaving=0, beat=-np.inf, **others):
+    view = View(0.02, scene(*things), **others)
+    return at_once(Foresight(BODY, SAFETY).room(HOME, points, view, leaving=leaving, beat=beat))
 
 
 @settings(max_examples=40)
@@ -88,7 +90,7 @@ def test_a_part_may_touch_what_its_phase_needs():
 def test_a_way_leads_there_in_small_steps():
     tool = SAFETY.tool(HOME)
     aim = Goal(tool.position + np.array([0.05, 0.25, -0.1]), tool.rotation, HOME)
-    way = Foresight(BODY, SAFETY).way(HOME, [aim])
+    way = list(Foresight(BODY, SAFETY).way(HOME, [aim]))
     places = np.array([SAFETY.tool(q).position for q in way])
     assert np.linalg.norm(places[-1] - aim.position) < 0.004
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.02
@@ -98,25 +100,42 @@ def test_a_wall_on_the_way_is_foreseen():
     tool = SAFETY.tool(HOME)
     wall = seen(Box((0.2, 0.01, 0.3)), Pose((0.5, 0.25, 0.3)))
     aim = Goal(tool.position + np.array([0.0, 0.4, 0.0]), tool.rotation, HOME)
-    start, end = room(wall), room(wall, postures=Foresight(BODY, SAFETY).way(HOME, [aim]))
+    start, end = room(wall), room(wall, points=[aim])
     assert start > 0.05
     assert end < 0.0
 
 
-@given(st.lists(st.floats(-0.1, 0.1), max_size=8))
-def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms):
-    asked = []
+def somewhere(rng):
+    """A goal about the arm's first pose, and things about its way."""
+    tool = SAFETY.tool(HOME)
+    aim = Goal(tool.position + rng.uniform(-0.3, 0.3, 3) * (0.5, 1.0, 0.5), tool.rotation, HOME)
+    middle = (tool.position + aim.position) / 2
+    return aim, [seen(Sphere(0.03), Pose(tuple(middle + rng.normal(0.0, 0.15, 3))), f"ball{k}") for k in range(4)]
 
-    def air(index):
-        asked.append(index)
-        return rooms[index]
 
-    choice, most = clearest(range(len(rooms)), air)
-    clear = [index for index, one in enumerate(rooms) if one >= AIR]
-    if clear:
-        assert choice == clear[0]
-        assert asked == list(range(clear[0] + 1))
-    elif rooms:
-        assert rooms[choice] == most == max(rooms)
-    else:
-        assert choice is None
+@pytest.mark.parametrize("seed", range(8))
+def test_a_way_has_the_room_of_its_nearest_posture(seed):
+    """Whatever is looked at together, or not at all because it is far away."""
+    aim, things = somewhere(np.random.default_rng(seed))
+    foresight = Foresight(BODY, SAFETY)
+    view = View(0.02, scene(*things))
+    each = [at_once(foresight.room(q, [], view)) for q in foresight.way(HOME, [aim])]
+    assert room(*things, points=[aim]) == pytest.approx(min(each))
+    for leaving in (3, len(each) + 5):
+        assert room(*things, points=[aim], leaving=leaving) == pytest.approx(min(each[leaving:] or each[-1:]))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_rehearsal_is_broken_off_only_where_it_cannot_win(seed):
+    aim, things = somewhere(np.random.default_rng(seed))
+    whole = room(*things, points=[aim])
+    for beat in (whole - 0.01, whole + 0.01):
+        cut = room(*things, points=[aim], beat=beat)
+        assert cut == whole if whole > beat else cut <= beat
+
+
+def test_a_stride_is_no_longer_than_it_says():
+    aim, _ = somewhere(np.random.default_rng(1))
+    way = Foresight(BODY, SAFETY).way(HOME, [aim])
+    places = np.array([SAFETY.tool(q).position for q in way])
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 1.1 * STRIDE

@@ -8,7 +8,6 @@ from dualbrain.embodiment.robot import at_home
 from dualbrain.records import Box, Cylinder, HalfSpace, Pose, Scene, SceneObject
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills import geometry, grasp
-from dualbrain.skills.foresight import AIR, clearest
 from dualbrain.skills.grasp_pose import (
     brink,
     comfortable_first,
@@ -20,6 +19,7 @@ from dualbrain.skills.grasp_pose import (
 )
 from dualbrain.skills.limb import Goal, Limb
 from dualbrain.skills.skill import Senses
+from dualbrain.skills.thought import AIR, at_once, clearest, found
 
 BODY = load_body("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
@@ -38,7 +38,12 @@ def limb(*neighbours):
 
 
 def choose(arm, axis="along", approach="top"):
-    return clearest(grasp_choices(arm, CUBE, axis, approach), lambda at: descent_room(arm, at, CUBE, CLEARANCE))
+    choices = grasp_choices(arm, CUBE, axis, approach)
+    return at_once(clearest(choices, lambda at, beat: descent_room(arm, at, CUBE, CLEARANCE, beat)))
+
+
+def plainly(arm, axis="along", approach="top"):
+    return at_once(grasp_goal(arm, CUBE, axis, approach))
 
 
 @pytest.mark.parametrize("approach", geometry.APPROACH_LEAN)
@@ -46,7 +51,7 @@ def choose(arm, axis="along", approach="top"):
 def test_what_stands_free_is_grasped_plainly(axis, approach):
     arm = limb()
     at, room = choose(arm, axis, approach)
-    plain = grasp_goal(arm, CUBE, axis, approach)
+    plain = plainly(arm, axis, approach)
     assert room >= AIR
     assert np.array_equal(at.rotation, plain.rotation)
     assert np.array_equal(at.posture, plain.posture)
@@ -54,17 +59,17 @@ def test_what_stands_free_is_grasped_plainly(axis, approach):
 
 def test_beside_a_neighbour_the_hand_gives_way():
     arm = limb(BOTTLE)
-    plain = descent_room(arm, grasp_goal(arm, CUBE, "along", "top"), CUBE, CLEARANCE)
+    plain = at_once(descent_room(arm, plainly(arm), CUBE, CLEARANCE))
     at, room = choose(arm)
     assert plain < 0.0
     assert room > plain + 0.005
-    assert np.allclose(at.position, grasp_goal(arm, CUBE, "along", "top").position)
+    assert np.allclose(at.position, plainly(arm).position)
 
 
 def test_a_way_that_was_not_asked_for_is_another_one():
     arm = limb(BOTTLE)
-    asked = grasp_goal(arm, CUBE, "along", "top").rotation
-    for at in other_choices(arm, CUBE, "along", "top"):
+    asked = plainly(arm).rotation
+    for at in found(other_choices(arm, CUBE, "along", "top")):
         same_axis = abs(at.rotation[:, 1] @ asked[:, 1]) > 0.9
         assert not (same_axis and at.rotation[2, 2] < -np.cos(0.17))
 
@@ -72,21 +77,21 @@ def test_a_way_that_was_not_asked_for_is_another_one():
 def test_what_is_too_wide_for_the_fingers_is_not_tried():
     arm = limb()
     arm.opening = 0.024
-    assert not list(other_choices(arm, CUBE, "along", "top"))
+    assert not found(other_choices(arm, CUBE, "along", "top"))
 
 
 def test_a_round_thing_may_be_taken_from_all_around():
     arm = limb()
     can = SceneObject("cube", "object", Cylinder(0.02, 0.025), CUBE.pose, error=0.009)
-    fingers = np.array([at.rotation[:2, 1] for at in grasp_choices(arm, can, "along", "top")])
+    fingers = np.array([at.rotation[:2, 1] for at in found(grasp_choices(arm, can, "along", "top"))])
     angles = np.unique(np.round(np.arctan2(fingers[:, 1], fingers[:, 0]) % np.pi, 1))
     assert len(angles) > 12
 
 
 def test_the_hand_comes_down_along_its_approach():
     arm = limb()
-    at = grasp_goal(arm, CUBE, "along", "tilted")
-    low, above = brink(arm, at, CUBE), station(arm, at, CUBE, CLEARANCE)
+    at = plainly(arm, "along", "tilted")
+    low, above = at_once(brink(arm, at, CUBE)), at_once(station(arm, at, CUBE, CLEARANCE))
     back = low.position - at.position
     assert np.allclose(back / np.linalg.norm(back), -at.rotation[:, 2])
     assert np.allclose(above.position[:2], low.position[:2])
@@ -96,8 +101,8 @@ def test_the_hand_comes_down_along_its_approach():
 def test_poses_for_which_the_hand_turns_round_come_last():
     arm = limb()
     start = arm.senses.state.q
-    plain = grasp_goal(arm, CUBE, "along", "top")
+    plain = plainly(arm)
     pains = [0.0, 3.0, 0.5, 1.0, 4.0]
     goals = [Goal(plain.position, plain.rotation, start + np.array([pain, 0, 0, 0, 0, 0, 0])) for pain in pains]
-    order = [float((goal.posture - start)[0]) for goal in comfortable_first(arm, goals)]
+    order = [float((goal.posture - start)[0]) for goal in found(comfortable_first(arm, goals))]
     assert order == pytest.approx([0.0, 0.5, 1.0, 3.0, 4.0])

@@ -34,15 +34,25 @@ def distance(shape: Solid, pose: Pose, points: Array) -> Array:
     local = (points - np.asarray(pose.position)) @ matrix(pose.quaternion)
     match shape:
         case Sphere(radius):
-            return np.linalg.norm(local, axis=-1) - radius
+            return _norm(*_columns(local)) - radius
         case Capsule(radius, half_length):
             local[..., 2] -= np.clip(local[..., 2], -half_length, half_length)
-            return np.linalg.norm(local, axis=-1) - radius
+            return _norm(*_columns(local)) - radius
         case Box(half_extents):
-            beyond = np.abs(local) - np.asarray(half_extents)
-            return np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
+            x, y, z = (np.abs(column) - half for column, half in zip(_columns(local), half_extents, strict=True))
+            within = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
+            return _norm(*(np.maximum(beyond, 0.0) for beyond in (x, y, z))) + within
         case HalfSpace():
             return local[..., 2]
+
+
+def _columns(points: Array) -> tuple[Array, Array, Array]:
+    """x, y and z of `points` (..., 3): a sum over so short an axis takes longer than its three terms."""
+    return points[..., 0], points[..., 1], points[..., 2]
+
+
+def _norm(x: Array, y: Array, z: Array) -> Array:
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def _covers(cylinder: Cylinder) -> Iterator[Solid]:

@@ -245,8 +245,8 @@ class LocalLayer:
             if isinstance(nominal, Ending):
                 return nominal
             if self.state.stamp > end:
-                return Ending(Status.TAKEN_OVER, f"{nominal.phase}: not done after {LONGEST:.0f} s")
-            self._answer = self._tick(nominal, index)
+                return Ending(Status.TAKEN_OVER, f"{self._phase}: not done after {LONGEST:.0f} s")
+            self._answer = self._rest("think", index) if nominal is None else self._tick(nominal, index)
             if self.spine.touched < 1.0:
                 self._waited += (1.0 - max(0.0, self.spine.touched)) * self.body.period
         self.log.note(self.state.stamp, "takeover", "interrupted by a person: braking to rest")

@@ -17,6 +17,7 @@ from dualbrain.skills.floor_path import clearance
 from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
 from dualbrain.skills.grasp_pose import grasp_goal, station
 from dualbrain.skills.limb import Limb
+from dualbrain.skills.thought import at_once
 
 LEVEL = 0.7
 """The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
@@ -117,7 +118,7 @@ def _grasps_fit(contract: Contract, scene: Scene, limb: Limb) -> Rejected | None
                 {"minimum": round(needed, 4), "maximum": widest},
                 hint,
             )
-        at = grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"]))
+        at = at_once(grasp_goal(limb, thing, str(params["finger_axis"]), str(params["approach"])))
         if at is None:
             return Rejected(
                 "envelope",
@@ -157,8 +158,8 @@ def _station_fits(limb: Limb, thing: SceneObject, params: Mapping[str, Any], poi
 
 
 def _reaches(limb: Limb, thing: SceneObject, axis: str, approach: str, clearance: float) -> bool:
-    at = grasp_goal(limb, thing, axis, approach)
+    at = at_once(grasp_goal(limb, thing, axis, approach))
     if at is None:
         return False
-    above = station(limb, at, thing, clearance)
-    return limb.kinematics.solve(above.position, above.rotation, (above.posture,)) is not None
+    above = at_once(station(limb, at, thing, clearance))
+    return at_once(limb.kinematics.solve(above.position, above.rotation, (above.posture,))) is not None

@@ -79,7 +79,8 @@ class SafetyFilter:
         self._names = Names(
             tuple(links), (), tuple(joint.name for joint in body.joints), tuple(j.velocity.value for j in body.joints)
         )
-        self._groups = {link.name: link.group for link in body.links}
+        groups = {link.name: link.group for link in body.links}
+        self._groups = tuple(groups[name] for name in self._names.spheres)
         self._standing = tuple(standing)
         if standing:
             self.observe(())
@@ -299,10 +300,10 @@ class SafetyFilter:
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere, held ones last."""
-        flat = np.empty((len(self._names.spheres) + 8, 4))
+        flat = np.empty((len(self._groups) + 8, 4))
         count = self._kernel.spheres(self._joints(q), opening, flat)
-        groups = [self._groups[name] for name in self._names.spheres]
-        return flat[:count, :3], flat[:count, 3], (*groups, *([HELD] * (count - len(groups))))
+        held = (HELD,) * (count - len(self._groups))
+        return flat[:count, :3], flat[:count, 3], self._groups + held
 
 
 def _parts(body: Body) -> dict[str, tuple[int, ...]]:

@@ -17,9 +17,10 @@ from dualbrain.skills.floor_path import floor_path
 from dualbrain.skills.person import room_left
 from dualbrain.skills.progress import Progress
 from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status
+from dualbrain.skills.thought import Aside, glances
 
 Array = NDArray[np.float64]
-Part = Generator[Nominal, None, Ending | None]
+Part = Generator[Nominal | None, None, Ending | None]
 
 AHEAD = 0.45
 """How far ahead on its path the base steers [m]."""
@@ -44,7 +45,7 @@ LOOK_AHEAD = 3.0
 PASSING = 2.2
 """The way [m] on which somebody is passed: until the base has driven it, they are believed to go on."""
 AGAIN = 1.0
-"""A new way is looked for this often while driving [s]."""
+"""A new way is looked for this long [s] after the last, while driving on."""
 
 
 class Chassis:
@@ -95,10 +96,11 @@ class Chassis:
     def drive(self, goal: Array, speed: float, rate: float) -> Part:
         """Drive to `goal` (2,) [m] at up to `speed` [m/s] and `rate` [rad/s]; wait for people who cross."""
         here, _ = self.pose
-        path, looked = floor_path(self.senses.scene, here, goal, self.radius), self.senses.now
+        path = yield from floor_path(self.senses.scene, here, goal, self.radius)
         if path is None:
             return Ending(Status.FAILED, "no way leads there")
-        progress = self._progress(path, speed)
+        progress, looked = self._progress(path, speed), self.senses.now
+        newer: Aside[list[Array] | None] | None = None
         while True:
             here, heading = self.pose
             away = float(np.linalg.norm(goal - here))
@@ -109,8 +111,10 @@ class Chassis:
                 if why := (yield from self._wait(path, speed)):
                     return why
                 progress = self._progress(path, speed)
-            if self.senses.now - looked > AGAIN:
-                path, looked = floor_path(self.senses.scene, here, goal, self.radius) or path, self.senses.now
+            if newer is None and self.senses.now - looked > AGAIN:
+                newer = Aside(floor_path(self.senses.scene, here, goal, self.radius), glances(self.body.period))
+            if newer is not None and newer.go_on():
+                path, looked, newer = newer.answer or path, self.senses.now, None
             if why := progress.stuck(self.senses.patience, away + 0.05 * abs(_turn(heading, path, here))):
                 return Ending(Status.TAKEN_OVER, f"drive: {why}, {away * 100:.0f} cm from the goal")
             yield self._nominal(self._steer(path, here, heading, away, pace, rate), "drive")

@@ -6,31 +6,34 @@ foreseen. People are left out, because where they will be is `person`'s business
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.solids import distance, solid
+from dualbrain.embodiment.solids import Solid, distance, solid
 from dualbrain.linalg import rotation_error
-from dualbrain.records import Scene, SceneObject
+from dualbrain.records import Box, Capsule, HalfSpace, Pose, Scene, SceneObject, Sphere
+from dualbrain.skills.inverse_kinematics import damped, length
 from dualbrain.skills.skill import Motion, Touch
+from dualbrain.skills.thought import Thought
 
 Array = NDArray[np.float64]
 
-AIR = 0.004
-"""A way counts as clear when the margins leave this much everywhere [m]."""
 NEARER = 0.008
 """φ itself keeps off what it knows, and passes it this much nearer without being bent [m]."""
-LEAVING = 4
+LEAVING = 3
 """Strides at the start of a way on which what is near already does not count."""
-STRIDE = 0.012
+STRIDE = 0.016
 """Step of a rehearsal [m]; a turn of the tool counts as 10 cm per rad."""
 LEVER, DRIFT = 0.1, 0.25
 """Lever [m] by which turns are counted, and how far the posture is pulled in a step at most [rad per 10 cm]."""
+LONGEST = 120
+"""Strides to one point, at most."""
+TOGETHER = 6
+"""Postures that are held against a thing at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +45,33 @@ class Goal:
     posture: Array
 
 
-T = TypeVar("T")
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a rehearsal goes by: how far each finger is opened [m], what is perceived, which thing is held.
+
+    What is `known` to φ may be `NEARER`, and does not count for a part that may touch it (`touches`).
+    """
+
+    opening: float
+    scene: Scene
+    held: str | None = None
+    known: Collection[str] = ()
+    touches: Collection[Touch] = ()
 
 
-def clearest(choices: Iterable[T], air: Callable[[T], float]) -> tuple[T | None, float]:
-    """The first choice whose way is clear, else the one with most `air` [m], and how much that is; None of nothing."""
-    best, most = None, -np.inf
-    for choice in choices:
-        room = air(choice)
-        if room > most:
-            best, most = choice, room
-        if most >= AIR:
-            break
-    return best, most
+@dataclass(frozen=True, slots=True)
+class Hindrance:
+    """A thing to keep clear of: its cover, all of it within `reach` [m] of its middle, for the spheres that `count`.
+
+    `allowance` [m] is taken off their distances, `most` [m] at most.
+    """
+
+    shape: Solid
+    pose: Pose
+    reach: float
+    count: NDArray[np.intp]
+    allowance: Array
+    most: float
 
 
 class Foresight:
@@ -69,57 +86,106 @@ class Foresight:
         frames = [link.frame for link in body.links for sphere in body.spheres if sphere.link == link.name]
         self._bolted = np.array(frames) == 0
 
-    def way(self, q: Array, points: Sequence[Goal]) -> list[Array]:
-        """Postures (n,) [rad] on the way from `q` through `points`, about a stride apart, the start included."""
-        postures = [q]
-        for point in points:
-            postures += self._leg(postures[-1], point)
-        return postures
+    def room(
+        self, q: Array, points: Sequence[Goal], view: View, *, leaving: int = 0, beat: float = -np.inf
+    ) -> Thought[float]:  # fmt: skip
+        """Least distance [m] between the body and what is perceived, beyond the errors, from `q` through `points`.
 
-    def clearance(
-        self, postures: Sequence[Array], opening: float, scene: Scene, held: str | None, known: Collection[str] = (),
-        touches: Collection[Touch] = (),
-    ) -> float:  # fmt: skip
-        """Least distance [m] between the body and what is perceived, beyond the errors, over all `postures`.
-
-        What is `known` to φ may be `NEARER`, and does not count for a part that may touch it.
+        The first `leaving` postures do not count, as long as any is left. Broken off once it is not above `beat`.
         """
-        shown = [self._motion.spheres(q, opening) for q in postures]
-        centres = np.array([centres for centres, _, _ in shown])
-        _, radii, groups = shown[0]
-        extra = next((thing.error for thing in scene.objects if thing.name == held), 0.0)
+        hindrances = yield from self._hindrances(q, view)
+        least, shown = np.inf, list[Array]()
+        for index, posture in enumerate(self.way(q, points)):
+            if index <= leaving:
+                shown.clear()
+            shown.append(self._motion.spheres(posture, view.opening)[0])
+            yield
+            if len(shown) == TOGETHER:
+                least = yield from _least(np.array(shown), hindrances, least)
+                shown.clear()
+                if least <= beat:
+                    return least
+        return (yield from _least(np.array(shown), hindrances, least)) if shown else least
+
+    def way(self, q: Array, points: Sequence[Goal]) -> Iterator[Array]:
+        """Postures (n,) [rad] on the way from `q` through `points`, about a stride apart, the start included.
+
+        Resolved-rate steps, as φ would take them.
+        """
+        yield q
+        for point in points:
+            for _ in range(LONGEST):
+                further = self._stride(q, point)
+                if further is None:
+                    break
+                q = further
+                yield q
+
+    def _stride(self, q: Array, point: Goal) -> Array | None:
+        """The next posture (n,) [rad] from `q` to `point`; None when it is there."""
+        tool = self._motion.tool(q)
+        twist = np.empty(6)
+        twist[:3], twist[3:] = point.position - tool.position, rotation_error(tool.rotation, point.rotation)
+        ahead = length(twist[:3]) + LEVER * length(twist[3:])
+        if ahead < 0.25 * STRIDE:
+            return None
+        share = min(1.0, STRIDE / ahead)
+        pull = point.posture - q if self._redundant else np.zeros_like(q)
+        pull *= min(1.0, DRIFT * share * ahead / LEVER / (length(pull) + 1e-9))
+        q = q + damped(tool.jacobian, share * twist, pull)
+        return np.minimum(np.maximum(q, self._lower), self._upper)
+
+    def _hindrances(self, q: Array, view: View) -> Thought[list[Hindrance]]:
+        """What the way is held against."""
+        _, radii, groups = self._motion.spheres(q, view.opening)
+        extra = next((thing.error for thing in view.scene.objects if thing.name == view.held), 0.0)
         reach = radii + np.array([extra if group == "held" else 0.0 for group in groups])
         base = np.zeros(len(groups), bool)
         base[: len(self._bolted)] = self._bolted
-        least = np.inf
-        for thing in scene.objects:
-            if thing.role != "person" and thing.name != held:
-                counts = ~base & ~_spared(thing, groups, touches)
-                apart = distance(*solid(thing.shape, thing.pose), centres[:, counts]) - reach[counts]
-                least = min(least, float(apart.min()) - thing.error + (NEARER if thing.name in known else 0.0))
-        return least
+        hindrances: list[Hindrance] = []
+        for thing in view.scene.objects:
+            if thing.role != "person" and thing.name != view.held:
+                yield
+                count = np.flatnonzero(~base & ~_spared(thing, groups, view.touches))
+                allowance = (reach + thing.error - (NEARER if thing.name in view.known else 0.0))[count]
+                shape, pose = solid(thing.shape, thing.pose)
+                most = float(allowance.max(initial=0.0))
+                hindrances.append(Hindrance(shape, pose, _reach(shape), count, allowance, most))
+        return hindrances
 
-    def _leg(self, q: Array, point: Goal) -> list[Array]:
-        """Resolved-rate steps from `q` to `point`, as φ would take them, in strides."""
-        postures: list[Array] = []
-        for _ in range(120):
-            tool = self._motion.tool(q)
-            move, turn = point.position - tool.position, rotation_error(tool.rotation, point.rotation)
-            ahead = float(np.linalg.norm(move)) + LEVER * float(np.linalg.norm(turn))
-            if ahead < 0.25 * STRIDE:
-                break
-            share = min(1.0, STRIDE / ahead)
-            pull = point.posture - q if self._redundant else np.zeros_like(q)
-            pull *= min(1.0, DRIFT * share * ahead / LEVER / (float(np.linalg.norm(pull)) + 1e-9))
-            J = tool.jacobian
-            twist = share * np.concatenate([move, turn])
-            q = q + pull + J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), twist - J @ pull)
-            q = np.clip(q, self._lower, self._upper)
-            postures.append(q)
-        return postures
+
+def _least(centres: Array, hindrances: Sequence[Hindrance], least: float) -> Thought[float]:
+    """`least` [m], or the least room of spheres at `centres` (postures, spheres, 3) where that is less."""
+    spans = [(float(column.min()), float(column.max())) for column in np.moveaxis(centres, -1, 0)]
+    yield
+    for one in hindrances:
+        if _gap(one.pose, spans) - one.reach - one.most < least:
+            apart = distance(one.shape, one.pose, centres.take(one.count, axis=1)) - one.allowance
+            least = min(least, float(apart.min(initial=np.inf)))
+            yield
+    return least
 
 
 def _spared(thing: SceneObject, groups: Sequence[str], touches: Collection[Touch]) -> NDArray[np.bool_]:
     """Which spheres may touch `thing`."""
     parts = {touch.robot_part for touch in touches if touch.obstacle == thing.name}
     return np.array([group in parts for group in groups])
+
+
+def _gap(pose: Pose, spans: Sequence[tuple[float, float]]) -> float:
+    """Distance [m] of the middle of `pose` from an upright box, given by its span along each axis."""
+    beyond = (max(low - x, 0.0, x - high) for x, (low, high) in zip(pose.position, spans, strict=True))
+    return sum(one * one for one in beyond) ** 0.5
+
+
+def _reach(shape: Solid) -> float:
+    """How far from its middle a solid goes at most [m]."""
+    match shape:
+        case Sphere(radius):
+            return radius
+        case Capsule(radius, half_length):
+            return radius + half_length
+        case Box(half_extents):
+            return sum(half * half for half in half_extents) ** 0.5
+        case HalfSpace():
+            return float("inf")

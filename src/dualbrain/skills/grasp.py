@@ -8,11 +8,11 @@ from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, SkillSpe
 from dualbrain.embodiment.body import Body
 from dualbrain.records import SceneObject
 from dualbrain.skills import geometry, parameters
-from dualbrain.skills.foresight import clearest
 from dualbrain.skills.grasp_pose import brink, descent_room, grasp_choices, other_choices, station
-from dualbrain.skills.journey import arrive, come_down, travel, wait_for_people
+from dualbrain.skills.journey import arrive, climb, come_down, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, Part, lifted
 from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.thought import clearest
 
 ENOUGH = 0.011
 """Fingers that reach this far below a thing's top, and are off its middle by less, may close on it [m]."""
@@ -58,8 +58,9 @@ def story(
     if limb.holding:
         return Ending(Status.FAILED, f"already holding {limb.holding.name}")
     limb.opening = opening / 2
-    at, _ = clearest(
-        grasp_choices(limb, thing, finger_axis, approach), lambda at: descent_room(limb, at, thing, clearance)
+    at, _ = yield from clearest(
+        grasp_choices(limb, thing, finger_axis, approach),
+        lambda at, beat: descent_room(limb, at, thing, clearance, beat),
     )
     if at is None:
         return Ending(Status.FAILED, f"{object} is out of reach for a {approach} grasp {finger_axis}")
@@ -77,11 +78,13 @@ def story(
 
 def _go_down(limb: Limb, thing: SceneObject, at: Goal, clearance: float, speed: float) -> Part:
     """Over the thing and down around it; it is looked at again before going down. Blocked but around it is enough."""
-    if why := (yield from _come_near(limb, station(limb, at, thing, clearance), speed)):
+    over = yield from station(limb, at, thing, clearance)
+    if why := (yield from _come_near(limb, over, speed)):
         return why
     now = limb.see(thing.name)
-    at = limb.shifted(at, at.position + np.subtract(now.pose.position, thing.pose.position))
-    above, low = station(limb, at, now, clearance), brink(limb, at, now)
+    at = yield from limb.shifted(at, at.position + np.subtract(now.pose.position, thing.pose.position))
+    above = yield from station(limb, at, now, clearance)
+    low = yield from brink(limb, at, now)
     why = yield from come_down(limb, above, low, at, "descend", min(speed, 0.2), approach="approach")
     return None if why and why.status is Status.TAKEN_OVER and _around(limb, now) else why
 
@@ -90,13 +93,14 @@ def _otherwise(
     limb: Limb, blocked: Ending, thing: SceneObject, finger_axis: str, approach: str, clearance: float, speed: float
 ) -> Part:  # fmt: skip
     """Back up, and down again on the other finger axis or with another approach, if that looks clear."""
-    at, room = clearest(
-        other_choices(limb, thing, finger_axis, approach), lambda at: descent_room(limb, at, thing, clearance)
+    at, room = yield from clearest(
+        other_choices(limb, thing, finger_axis, approach),
+        lambda at, beat: descent_room(limb, at, thing, clearance, beat),
     )
     if at is None or room < 0.0:
         return blocked
-    up = lifted(limb.here(), float(station(limb, at, thing, clearance).position[2]))
-    if why := (yield from arrive(limb, limb.shifted(up, up.position), "descend", speed)):
+    over = yield from station(limb, at, thing, clearance)
+    if why := (yield from climb(limb, float(over.position[2]), "descend", speed)):
         return why
     return (yield from _go_down(limb, thing, at, clearance, speed))
 
@@ -107,8 +111,7 @@ def _seize(limb: Limb, thing: SceneObject, clearance: float, speed: float, force
     if why := (yield from limb.close(force)):
         return why
     limb.take_hold(thing, float(limb.senses.tool.position[2]) - geometry.bottom(thing))
-    up = lifted(limb.here(), limb.floor + clearance + limb.below_tool)
-    if why := (yield from arrive(limb, limb.shifted(up, up.position), "lift", speed)):
+    if why := (yield from climb(limb, limb.floor + clearance + limb.below_tool, "lift", speed)):
         return why
     if not limb.grips():
         limb.holding = None

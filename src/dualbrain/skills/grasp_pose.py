@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import chain, product
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.body import Body
 from dualbrain.records import Bowl, Capsule, Cylinder, SceneObject, Sphere
 from dualbrain.skills import geometry
+from dualbrain.skills.inverse_kinematics import BRIEF
 from dualbrain.skills.limb import Goal, Limb, lifted
+from dualbrain.skills.thought import Finds, Thought
 
 Array = NDArray[np.float64]
 
@@ -40,20 +42,20 @@ def grasp_height(body: Body, thing: SceneObject, approach: str) -> float:
     return max(low, middle, geometry.top(thing) - FINGER_DEPTH[approach])
 
 
-def grasp_goal(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Goal | None:
+def grasp_goal(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Thought[Goal | None]:
     """The plain tool pose that grasps `thing`; None when it is out of reach."""
     position, rotations = _plain(limb, thing, finger_axis, approach)
     return limb.goal(position, rotations)
 
 
-def grasp_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+def grasp_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
     """The plain pose, then poses a little otherwise; none when the plain one is out of reach."""
-    plain = grasp_goal(limb, thing, finger_axis, approach)
+    plain = yield from grasp_goal(limb, thing, finger_axis, approach)
     if plain is not None:
         yield from comfortable_first(limb, chain([plain], _near(limb, thing, finger_axis, approach)))
 
 
-def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
     """Poses on the other finger axis and with another approach than asked for, where the fingers fit."""
     other = {"along": "across", "across": "along"}[finger_axis]
     for axis, lean in (
@@ -67,10 +69,13 @@ def other_choices(limb: Limb, thing: SceneObject, finger_axis: str, approach: st
             yield from comfortable_first(limb, _near(limb, thing, axis, lean))
 
 
-def comfortable_first(limb: Limb, goals: Iterable[Goal]) -> Iterator[Goal]:
+def comfortable_first(limb: Limb, goals: Iterable[Goal | None]) -> Finds[Goal]:
     """`goals` in their order, but last those that lie far less comfortably than the first: half a turn of the hand."""
     here, bound, later = limb.senses.state.q, np.inf, list[Goal]()
     for goal in goals:
+        if goal is None:
+            yield
+            continue
         discomfort = limb.kinematics.discomfort(goal.posture, here)
         bound = discomfort + UNCOMFORTABLE if bound == np.inf else bound
         if discomfort <= bound:
@@ -80,22 +85,27 @@ def comfortable_first(limb: Limb, goals: Iterable[Goal]) -> Iterator[Goal]:
     yield from later
 
 
-def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> float:
+def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float, beat: float = -np.inf) -> Thought[float]:
     """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down."""
-    above = station(limb, at, thing, clearance)
-    if limb.kinematics.solve(above.position, above.rotation, (above.posture,)) is None:
+    low = yield from brink(limb, at, thing)
+    above = yield from limb.reachable(low, _over(limb, low, thing, clearance))
+    if above is None:
         return -np.inf
-    return limb.air(above.posture, [brink(limb, at, thing), at], "descend", limb.opening)
+    return (yield from limb.air(above.posture, [low, at], "descend", limb.opening, beat=beat))
 
 
-def station(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Goal:
+def station(limb: Limb, at: Goal, thing: SceneObject, clearance: float) -> Thought[Goal]:
     """The pose from which the fingers come down: straight above the brink, tips clear of the thing's top."""
+    low = yield from brink(limb, at, thing)
+    return (yield from limb.shifted(low, _over(limb, low, thing, clearance)))
+
+
+def _over(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> Array:
     tips = max(limb.floor + clearance, geometry.top(thing) + OVER)
-    up = lifted(brink(limb, at, thing), tips + limb.body.gripper.pad_below_tool)
-    return limb.shifted(up, up.position)
+    return lifted(low, tips + limb.body.gripper.pad_below_tool).position
 
 
-def brink(limb: Limb, at: Goal, thing: SceneObject) -> Goal:
+def brink(limb: Limb, at: Goal, thing: SceneObject) -> Thought[Goal]:
     """The pose from which the fingers go on gently, back along the approach axis."""
     height = geometry.top(thing) + BRINK + limb.body.gripper.pad_below_tool
     axis = at.rotation[:, 2]
@@ -103,10 +113,10 @@ def brink(limb: Limb, at: Goal, thing: SceneObject) -> Goal:
     return limb.shifted(at, at.position - back * axis)
 
 
-def _near(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Iterator[Goal]:
+def _near(limb: Limb, thing: SceneObject, finger_axis: str, approach: str) -> Finds[Goal]:
     position, rotations = _plain(limb, thing, finger_axis, approach)
     for turn, rotation in product(_turns(thing), rotations):
-        goal = posed(limb, position, rotation, *turn)
+        goal = yield from posed(limb, position, rotation, *turn)
         if goal is not None:
             yield goal
 
@@ -120,14 +130,14 @@ def _turns(thing: SceneObject) -> list[tuple[float, float, float]]:
     return [(a * YAW, b * LEAN, c * SWING) for a, b, c in near]
 
 
-def posed(limb: Limb, position: Array, rotation: Array, yaw: float, lean: float, swing: float) -> Goal | None:
+def posed(limb: Limb, position: Array, rotation: Array, yaw: float, lean: float, swing: float) -> Thought[Goal | None]:
     """The goal turned by `yaw` about the vertical and by `lean` about the fingers' axis, its elbow by `swing`."""
     turned = geometry.about((0.0, 0.0, 1.0), yaw) @ rotation
     turned = geometry.about(turned[:, 1], lean) @ turned
     start = limb.senses.state.q.copy()
     start[0] -= swing
     start[2] += swing
-    q = limb.kinematics.solve(position, turned, (start,))
+    q = yield from limb.kinematics.solve(position, turned, (start,), steps=BRIEF)
     return None if q is None else Goal(position, turned, q)
 
 

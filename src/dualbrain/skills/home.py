@@ -7,8 +7,8 @@ import numpy as np
 from dualbrain.contracts.skill_spec import ContactPermit, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.skills import parameters
-from dualbrain.skills.journey import arrive
-from dualbrain.skills.limb import Limb, lifted
+from dualbrain.skills.journey import climb
+from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Status, Story
 
 SAFE_HEIGHT = 0.30
@@ -32,9 +32,8 @@ def story(limb: Limb, *, speed: float) -> Story:
     """Tell the return: rise, then move in joint space."""
     support = limb.support
     limb.begin(spec(limb.body), support=support.name if support else None)
-    up = lifted(limb.here(), limb.floor + SAFE_HEIGHT)
-    low = limb.senses.tool.position[2] < up.position[2]
-    if low and (why := (yield from arrive(limb, limb.shifted(up, up.position), "rise", speed))):
+    height = limb.floor + SAFE_HEIGHT
+    if limb.senses.tool.position[2] < height and (why := (yield from climb(limb, height, "rise", speed))):
         return why
     share = FULL_SPEED * speed / limb.body.tool_speed.value
     if why := (yield from limb.joints(np.array(limb.body.home), "return", share, speed)):

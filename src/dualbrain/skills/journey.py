@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.skills.foresight import clearest
 from dualbrain.skills.limb import BESIDE, CEILING, PERSON_PATIENCE, YIELDED, Goal, Limb, Part, lifted
 from dualbrain.skills.parameters import CONTACT_SPEED
 from dualbrain.skills.person import may_be_over
 from dualbrain.skills.progress import STANDSTILL
 from dualbrain.skills.route import bend
 from dualbrain.skills.skill import Ending, Status
+from dualbrain.skills.thought import AIR, Thought, clearest
 
 Array = NDArray[np.float64]
 
@@ -39,6 +38,13 @@ def arrive(
             return why
 
 
+def climb(limb: Limb, height: float, phase: str, speed: float) -> Part:
+    """Straight up (or down) to tool height `height` [m]."""
+    up = lifted(limb.here(), height)
+    goal = yield from limb.shifted(up, up.position)
+    return (yield from arrive(limb, goal, phase, speed))
+
+
 def travel(limb: Limb, points: Sequence[Goal], phase: str, speed: float) -> Part:
     """Pass through `points` to the last; when blocked, by the first detour that looks clear, else the roomiest."""
     start, end, left = limb.senses.tool.position.copy(), points[-1], list(DETOURS)
@@ -46,17 +52,24 @@ def travel(limb: Limb, points: Sequence[Goal], phase: str, speed: float) -> Part
     for patience in (RETRY_AFTER, STANDSTILL):
         if why is None or why.status is not Status.TAKEN_OVER:
             break
-        detour = clearest(left, lambda detour: limb.air(None, _by(limb, start, end, detour), phase))[0] or left[0]
+        detour, _ = yield from clearest(left, lambda detour, beat: _air_by(limb, start, end, detour, phase, beat))
+        detour = detour or left[0]
         left.remove(detour)
-        why = yield from _pass_through(limb, _by(limb, start, end, detour), phase, speed, patience)
+        way = yield from _by(limb, start, end, detour)
+        why = yield from _pass_through(limb, way, phase, speed, patience)
     return why
 
 
-def foreseen(limb: Limb, points: Sequence[Goal], phase: str) -> float:
-    """Room [m] on the way through `points` to the last, or on the detour that `travel` would take."""
+def foreseen(limb: Limb, points: Sequence[Goal], phase: str, beat: float) -> Thought[float]:
+    """Room [m] on the way through `points` to the last, or on the detour `travel` would take; `beat` as in `air`."""
     start, end = limb.senses.tool.position.copy(), points[-1]
-    ways = chain([list(points)], (_by(limb, start, end, detour) for detour in DETOURS))
-    return clearest(ways, lambda way: limb.air(None, way, phase))[1]
+    plain = yield from limb.air(None, points, phase, beat=beat)
+    if plain >= AIR:
+        return plain
+    _, most = yield from clearest(
+        DETOURS, lambda detour, beat: _air_by(limb, start, end, detour, phase, beat), beat=max(plain, beat)
+    )
+    return most
 
 
 def come_down(
@@ -102,7 +115,14 @@ def _pass_through(limb: Limb, points: Sequence[Goal], phase: str, speed: float, 
     return None
 
 
-def _by(limb: Limb, start: Array, end: Goal, detour: tuple[float, str]) -> list[Goal]:
+def _air_by(
+    limb: Limb, start: Array, end: Goal, detour: tuple[float, str], phase: str, beat: float
+) -> Thought[float]:  # fmt: skip
+    way = yield from _by(limb, start, end, detour)
+    return (yield from limb.air(None, way, phase, beat=beat))
+
+
+def _by(limb: Limb, start: Array, end: Goal, detour: tuple[float, str]) -> Thought[list[Goal]]:
     """Straight up by the detour's rise, across by its route, down to the end."""
     rise, route = detour
     here = limb.here()
@@ -110,5 +130,6 @@ def _by(limb: Limb, start: Array, end: Goal, detour: tuple[float, str]) -> list[
     high = lifted(end, height)
     via = bend(start, high.position, route)
     points = [lifted(here, height)] if rise else []
-    points += [limb.shifted(end, via)] if via is not None else []
+    if via is not None:
+        points.append((yield from limb.shifted(end, via)))
     return [*points, high, end] if rise else [*points, end]

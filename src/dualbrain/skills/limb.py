@@ -1,6 +1,7 @@
 """The limb: what every skill can do with an arm, each as a short story of nominal controls.
 
-A story yields one `Nominal` a tick and returns None when it went well or the `Ending` that stops the skill.
+A part yields one `Nominal` a tick (or None while it thinks, see `thought`) and returns None when it went well or the
+`Ending` that stops the skill.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
-from dualbrain.skills.foresight import LEAVING, Foresight, Goal
+from dualbrain.skills.foresight import LEAVING, Foresight, Goal, View
 from dualbrain.skills.geometry import top
-from dualbrain.skills.inverse_kinematics import InverseKinematics
+from dualbrain.skills.inverse_kinematics import BRIEF, InverseKinematics
 from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
 from dualbrain.skills.resolved_rate import ResolvedRate
 from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status, Touch
+from dualbrain.skills.thought import Thought
 
 Array = NDArray[np.float64]
-Part = Generator[Nominal, None, Ending | None]
+Part = Generator[Nominal | None, None, Ending | None]
 
 SETTLED = 0.15
 """How long [s] a grip must stand still and press with both fingers to count as a grasp."""
@@ -196,31 +198,35 @@ class Limb:
         """Whether both fingers press on something (two-finger test)."""
         return min(self.senses.state.finger_forces) >= GRIP_FORCE_MIN
 
-    def goal(self, position: Array, rotations: list[Array]) -> Goal | None:
+    def goal(self, position: Array, rotations: list[Array]) -> Thought[Goal | None]:
         """The most comfortable way to put the tool at `position` with one of `rotations`; None when out of reach."""
-        best = self.kinematics.best(position, rotations, self.senses.state.q)
+        best = yield from self.kinematics.best(position, rotations, self.senses.state.q)
         return None if best is None else Goal(position, *best)
 
-    def air(self, start: Array | None, points: Sequence[Goal], phase: str, opening: float | None = None) -> float:
+    def air(
+        self, start: Array | None, points: Sequence[Goal], phase: str, opening: float | None = None, *,
+        beat: float = -np.inf,
+    ) -> Thought[float]:  # fmt: skip
         """Least room [m] to anything perceived, beyond the errors, on the way from posture `start` through `points`.
 
         From where the arm is when `start` is None; then what is near it now does not count, nor do contacts that
-        `phase` needs. Each finger is opened by `opening` [m], or as it is.
+        `phase` needs. Each finger is opened by `opening` [m], or as it is. What is not above `beat` may be too much.
         """
-        if start is None:
-            postures = self._foresight.way(self.senses.state.q, points)
-            postures = postures[min(LEAVING, len(postures) - 1) :]
-        else:
-            postures = self._foresight.way(start, points)
         fingers = self.senses.state.opening if opening is None else opening
         held = self.holding.name if self.holding else None
-        touches = self._touches.get(phase, ())
-        return self._foresight.clearance(postures, fingers, self.senses.scene, held, self._known, touches)
+        view = View(fingers, self.senses.scene, held, self._known, self._touches.get(phase, ()))
+        q, leaving = (self.senses.state.q, LEAVING) if start is None else (start, 0)
+        return self._foresight.room(q, points, view, leaving=leaving, beat=beat)
 
-    def shifted(self, goal: Goal, position: Array) -> Goal:
+    def shifted(self, goal: Goal, position: Array) -> Thought[Goal]:
         """`goal` moved to another position with the same rotation, its posture solved anew where possible."""
-        q = self.kinematics.solve(position, goal.rotation, (goal.posture,))
-        return Goal(position, goal.rotation, goal.posture if q is None else q)
+        there = yield from self.reachable(goal, position)
+        return there or replace(goal, position=position)
+
+    def reachable(self, goal: Goal, position: Array) -> Thought[Goal | None]:
+        """`goal` moved to another position with the same rotation; None when it is out of reach there."""
+        q = yield from self.kinematics.solve(position, goal.rotation, (goal.posture,), steps=BRIEF)
+        return None if q is None else Goal(position, goal.rotation, q)
 
     def here(self) -> Goal:
         """Where the tool is now, as a goal."""

@@ -45,7 +45,7 @@ def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str
         point, _, _ = spot(scene, target)
     height = max(limb.floor + clearance, float(point[2]) + OVER) + limb.below_tool
     tool = limb.senses.tool
-    end = limb.goal(np.array([point[0], point[1], height]), _facings(tool.rotation, tool.position, point))
+    end = yield from limb.goal(np.array([point[0], point[1], height]), _facings(tool.rotation, tool.position, point))
     if end is None:
         return Ending(Status.FAILED, f"above {target} is out of reach")
     middle = (tool.position + point) / 2
@@ -56,7 +56,7 @@ def story(limb: Limb, *, target: str, speed: float, clearance: float, route: str
     points = [lifted(limb.here(), height)] if tool.position[2] < height - 0.01 else []
     via = bend(tool.position, end.position, route)
     if via is not None:
-        points.append(limb.shifted(end, via))
+        points.append((yield from limb.shifted(end, via)))
     if why := (yield from travel(limb, [*points, end], "approach", speed)):
         return why
     return Ending(Status.DONE, f"above {target}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -12,12 +11,12 @@ from dualbrain.contracts.skill_spec import ContactPermit, Name, SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.records import Bowl, Scene
 from dualbrain.skills import geometry, parameters
-from dualbrain.skills.foresight import AIR, clearest
 from dualbrain.skills.grasp_pose import comfortable_first, posed
 from dualbrain.skills.journey import arrive, come_down, foreseen, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, lifted
 from dualbrain.skills.route import bend
 from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.thought import AIR, Finds, Thought, clearest
 
 Array = NDArray[np.float64]
 
@@ -84,7 +83,7 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
     point, radius, room = spot(limb.senses.scene, destination)
     spot_down = point + np.array([0.0, 0.0, room + held.below_tool])
     height = max(limb.floor + clearance + held.below_tool, float(spot_down[2]) + BRINK)
-    down = _release_goal(limb, spot_down, height, route, tilt=room == OVER_RIM)
+    down = yield from _release_goal(limb, spot_down, height, route, tilt=room == OVER_RIM)
     if down is None:
         return Ending(Status.FAILED, f"{destination} is out of reach")
     middle = (limb.senses.tool.position + point) / 2
@@ -93,15 +92,16 @@ def story(limb: Limb, *, destination: str, speed: float, clearance: float, route
     ):
         return why
     above = lifted(down, height)
-    if why := (yield from travel(limb, _way(limb, above, route), "carry", speed)) or _lost(limb, held.name):
+    way = yield from _way(limb, above, route)
+    if why := (yield from travel(limb, way, "carry", speed)) or _lost(limb, held.name):
         return why
     brink = lifted(down, min(height, float(down.position[2]) + BRINK))
     why = yield from come_down(limb, above, brink, down, "lower", min(speed, 0.2), approach="carry")
     if why or (why := _lost(limb, held.name)):
         return why
     yield from limb.open(limb.body.gripper.opening.value)
-    away = lifted(down, float(down.position[2]) + AWAY)
-    why = yield from arrive(limb, limb.shifted(away, away.position), "retreat", speed)
+    away = yield from _at(limb, down, float(down.position[2]) + AWAY)
+    why = yield from arrive(limb, away, "retreat", speed)
     risen = float(limb.senses.tool.position[2] - down.position[2])
     if why and not (why.status is Status.TAKEN_OVER and risen > FREE):
         return why
@@ -116,19 +116,24 @@ def _lost(limb: Limb, name: str) -> Ending | None:
     return Ending(Status.FAILED, f"carry: {name} was lost on the way")
 
 
-def _release_goal(limb: Limb, position: Array, height: float, route: str, *, tilt: bool) -> Goal | None:
+def _release_goal(limb: Limb, position: Array, height: float, route: str, *, tilt: bool) -> Thought[Goal | None]:
     """Where to let go at `position`, lowered from tool height `height` [m]: the clearest way of holding the hand."""
 
-    def air(goal: Goal) -> float:
+    def air(goal: Goal, beat: float) -> Thought[float]:
         """Down and up again; and, where that is clear, on the way there."""
+        above = yield from _at(limb, goal, height)
         away = lifted(goal, float(goal.position[2]) + AWAY)
-        room = limb.air(_at(limb, goal, height).posture, [goal, away], "lower")
-        return room if room < AIR else min(room, foreseen(limb, _way(limb, lifted(goal, height), route), "carry"))
+        room = yield from limb.air(above.posture, [goal, away], "lower", beat=beat)
+        if room < AIR:
+            return room
+        way = yield from _way(limb, lifted(goal, height), route)
+        return min(room, (yield from foreseen(limb, way, "carry", beat)))
 
-    return clearest(comfortable_first(limb, _release_choices(limb, position, tilt=tilt)), air)[0]
+    best, _ = yield from clearest(comfortable_first(limb, _release_choices(limb, position, tilt=tilt)), air)
+    return best
 
 
-def _release_choices(limb: Limb, position: Array, *, tilt: bool) -> Iterator[Goal]:
+def _release_choices(limb: Limb, position: Array, *, tilt: bool) -> Finds[Goal]:
     """In the rotation held now, or turned with the arm's own swing when that lies more comfortably; or otherwise.
 
     Turned about the vertical, the elbow swung, and with `tilt` leaning.
@@ -136,31 +141,31 @@ def _release_choices(limb: Limb, position: Array, *, tilt: bool) -> Iterator[Goa
     here = limb.senses.tool
     swing = float(np.arctan2(position[1], position[0]) - np.arctan2(here.position[1], here.position[0]))
     turned = geometry.about((0.0, 0.0, 1.0), swing) @ here.rotation
-    plain = limb.goal(position, [here.rotation.copy(), turned])
+    plain = yield from limb.goal(position, [here.rotation.copy(), turned])
     if plain is None:
         return
     yield plain
     leans = (0.0, 0.2, -0.2, 0.4, -0.4) if tilt else (0.0,)
     for lean, yaw, elbow in product(leans, YAWS, ELBOWS):
-        goal = posed(limb, position, plain.rotation, yaw, lean, elbow)
+        goal = yield from posed(limb, position, plain.rotation, yaw, lean, elbow)
         if goal is not None:
             yield goal
 
 
-def _at(limb: Limb, goal: Goal, height: float) -> Goal:
+def _at(limb: Limb, goal: Goal, height: float) -> Thought[Goal]:
     """`goal` at tool height `height` [m]."""
     up = lifted(goal, height)
     return limb.shifted(up, up.position)
 
 
-def _way(limb: Limb, end: Goal, route: str) -> list[Goal]:
+def _way(limb: Limb, end: Goal, route: str) -> Thought[list[Goal]]:
     """The points to pass: straight up where needed, the route's bend, then above the destination."""
     here = limb.here()
     height = float(end.position[2])
     points = [lifted(here, height)] if here.position[2] < height - 0.01 else []
     via = bend(here.position, end.position, route)
     if via is not None:
-        points.append(limb.shifted(end, via))
+        points.append((yield from limb.shifted(end, via)))
     return [*points, end]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,11 +9,11 @@ from dualbrain.contracts.skill_spec import ContactPermit, Name, Number, SkillSpe
 from dualbrain.embodiment.body import Body
 from dualbrain.records import SceneObject
 from dualbrain.skills import geometry, parameters
-from dualbrain.skills.foresight import clearest
 from dualbrain.skills.journey import GENTLE, arrive, come_down, travel, wait_for_people
 from dualbrain.skills.limb import Goal, Limb, Part, lifted
 from dualbrain.skills.place import spot
 from dualbrain.skills.skill import Ending, Status, Story
+from dualbrain.skills.thought import Finds, Thought, clearest
 
 Array = NDArray[np.float64]
 
@@ -75,11 +73,13 @@ def story(
     if way is None or float(np.linalg.norm(way)) < distance:
         return Ending(Status.FAILED, f"{destination} is nearer to {object} than the push is long")
     direction = way / np.linalg.norm(way)
-    low, _ = clearest(_stations(limb, thing, direction, distance), lambda goal: _room(limb, goal, thing, clearance))
+    low, _ = yield from clearest(
+        _stations(limb, thing, direction, distance), lambda goal, beat: _room(limb, goal, thing, clearance, beat)
+    )
     if low is None:
         return Ending(Status.FAILED, f"behind {object} is out of reach")
     yield from _shut(limb)
-    above = _above(limb, low, thing, clearance)
+    above = yield from _above(limb, low, thing, clearance)
     if wait == "until_clear" and (
         why := (yield from wait_for_people(limb, limb.here(), above.position, 4.0, "approach", speed, reach=0.35))
     ):
@@ -88,11 +88,13 @@ def story(
         return why
     before = np.array(limb.see(object).pose.position)
     end = low.position + (GAP + distance) * np.array([*direction, 0.0])
-    if why := (yield from arrive(limb, limb.shifted(low, end), "push", GENTLE)):
+    goal = yield from limb.shifted(low, end)
+    if why := (yield from arrive(limb, goal, "push", GENTLE)):
         return why
     back = limb.here().position - BACK * np.array([*direction, 0.0])
     for position in (back, np.array([back[0], back[1], above.position[2]])):
-        if why := (yield from arrive(limb, limb.shifted(low, position), "retreat", min(speed, 0.1))):
+        goal = yield from limb.shifted(low, position)
+        if why := (yield from arrive(limb, goal, "retreat", min(speed, 0.1))):
             return why
     moved = float((np.array(limb.see(object).pose.position) - before)[:2] @ direction)
     words = f"{object} went {moved * 100:.0f} of {distance * 100:.0f} cm toward {destination}"
@@ -106,7 +108,7 @@ def _way(limb: Limb, thing: SceneObject, destination: str) -> Array | None:
     return way if float(np.linalg.norm(way)) > 1e-6 else None
 
 
-def _stations(limb: Limb, thing: SceneObject, direction: Array, distance: float) -> Iterator[Goal]:
+def _stations(limb: Limb, thing: SceneObject, direction: Array, distance: float) -> Finds[Goal]:
     """Poses behind the thing from which the whole push is within reach: the fingers' broad side first, then turned."""
     gripper = limb.body.gripper
     height = max(
@@ -119,23 +121,24 @@ def _stations(limb: Limb, thing: SceneObject, direction: Array, distance: float)
         position = np.array([*(np.array(thing.pose.position[:2]) - behind * direction), height])
         forward = geometry.about((0.0, 0.0, 1.0), turn) @ np.array([*direction, 0.0])
         across = np.array([-forward[1], forward[0], 0.0])
-        goal = limb.goal(position, geometry.grasp_rotations(across, "top", np.array([*direction, 0.0])))
+        goal = yield from limb.goal(position, geometry.grasp_rotations(across, "top", np.array([*direction, 0.0])))
         if goal is None:
             continue
         end = position + (GAP + distance) * np.array([*direction, 0.0])
-        if limb.kinematics.solve(end, goal.rotation, (goal.posture,)) is not None:
+        if (yield from limb.kinematics.solve(end, goal.rotation, (goal.posture,))) is not None:
             yield goal
 
 
-def _above(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> Goal:
+def _above(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> Thought[Goal]:
     tips = max(limb.floor + clearance, geometry.top(thing) + BRINK)
     up = lifted(low, tips + limb.body.gripper.pad_below_tool)
     return limb.shifted(up, up.position)
 
 
-def _room(limb: Limb, low: Goal, thing: SceneObject, clearance: float) -> float:
+def _room(limb: Limb, low: Goal, thing: SceneObject, clearance: float, beat: float) -> Thought[float]:
     """Least room [m] on the way down behind the thing."""
-    return limb.air(_above(limb, low, thing, clearance).posture, [low], "descend", 0.0)
+    above = yield from _above(limb, low, thing, clearance)
+    return (yield from limb.air(above.posture, [low], "descend", 0.0, beat=beat))
 
 
 def _shut(limb: Limb) -> Part:

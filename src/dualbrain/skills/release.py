@@ -36,7 +36,7 @@ def story(limb: Limb, *, speed: float) -> Story:
     limb.begin(spec(limb.body), target=held.name if held else None, support=support.name if support else None)
     yield from limb.open(limb.body.gripper.opening.value)
     here = limb.here()
-    back = limb.shifted(here, here.position - BACK * here.rotation[:, 2])
+    back = yield from limb.shifted(here, here.position - BACK * here.rotation[:, 2])
     if why := (yield from arrive(limb, back, "retreat", speed)):
         return why
     return Ending(Status.DONE, f"let go of {held.name}" if held else "the hand is open")

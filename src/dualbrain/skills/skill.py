@@ -1,7 +1,7 @@
 """What a skill says to the local layer each tick, and what it is given to say it with.
 
-A skill is a story told as a generator: it yields one `Nominal` a tick and ends with an `Ending`. The local layer drives
-it through `Running.nominal(state, scene, now)` (the map φ of paper 4.2).
+A skill is a story told as a generator: it yields one `Nominal` a tick, None after each piece of thinking (`thought`),
+and ends with an `Ending`. The local layer drives it through `Running.nominal(senses)` (the map φ of paper 4.2).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Ending:
     reason: str
 
 
-Story = Generator[Nominal, None, Ending]
+Story = Generator[Nominal | None, None, Ending]
 """A skill as it runs."""
 
 

@@ -27,6 +27,7 @@ from dualbrain.skills.carrier import Carrier
 from dualbrain.skills.chassis import Chassis
 from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Ending, Motion, Nominal, Senses, Story
+from dualbrain.skills.thought import glances
 
 ARM: Mapping[str, ModuleType] = {
     "move_to": move_to,
@@ -95,12 +96,16 @@ class Running:
         self.limb = limb
         teller = limb.work(skill in BASE) if isinstance(limb, Carrier) else limb
         self._story: Story = skills_of(limb.body)[skill].story(teller, **params)
+        self._glances = glances(limb.body.period)
 
-    def nominal(self, senses: Senses) -> Nominal | Ending:
-        """The next tick's intent, or how the skill ended."""
+    def nominal(self, senses: Senses) -> Nominal | Ending | None:
+        """The next tick's intent, or how the skill ended; None while it thinks: then the robot is to rest as it is."""
         self.limb.sense(senses)
-        try:
-            nominal = next(self._story)
-            return self.limb.whole(nominal) if isinstance(self.limb, Carrier) else nominal
-        except StopIteration as over:
-            return over.value
+        for _ in range(self._glances):
+            try:
+                nominal = next(self._story)
+            except StopIteration as over:
+                return over.value
+            if nominal is not None:
+                return self.limb.whole(nominal) if isinstance(self.limb, Carrier) else nominal
+        return None

@@ -1,0 +1,117 @@
+"""Thoughts: the clearest of many, and that no control tick thinks longer than its share."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.records import Box, HalfSpace, Pose, Scene, SceneObject
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.limb import Limb
+from dualbrain.skills.skill import Nominal, Senses
+from dualbrain.skills.thought import AIR, PACE, Aside, at_once, clearest, glances
+from dualbrain.skills.vocabulary import Running, limb_of
+
+rooms_of = st.lists(st.floats(-0.1, 0.1), max_size=8)
+
+
+def thought(answer, pauses=0):
+    """A thought of so many pauses."""
+    for _ in range(pauses):
+        yield
+    return answer
+
+
+@given(rooms_of, st.floats(-0.05, 0.05))
+def test_the_first_clear_choice_is_taken_else_the_roomiest(rooms, enough):
+    asked = []
+
+    def air(index, beat):
+        asked.append(index)
+        return thought(rooms[index] if rooms[index] > beat else beat - 0.001)
+
+    choice, most = at_once(clearest(range(len(rooms)), air))
+    clear = [index for index, one in enumerate(rooms) if one >= AIR]
+    if clear:
+        assert choice == clear[0]
+        assert asked == list(range(clear[0] + 1))
+    elif rooms:
+        assert rooms[choice] == most == max(rooms)
+    else:
+        assert choice is None
+    taken, _ = at_once(clearest(range(len(rooms)), air, beat=min(enough, AIR - 1e-6)))
+    assert (taken is None) == (not rooms or max(rooms) <= min(enough, AIR - 1e-6))
+
+
+@given(st.integers(0, 20), st.integers(1, 6))
+def test_a_thought_aside_takes_its_share_of_every_tick(pauses, share):
+    aside = Aside(thought("found", pauses), share)
+    assert [aside.go_on() for _ in range(pauses // share)] == [False] * (pauses // share)
+    assert aside.answer is None
+    assert aside.go_on()
+    assert aside.answer == "found"
+
+
+BODIES = ("panda", "ur5e", "fr3")
+
+
+class Counted:
+    """What the local layer lends, counting how often a posture is worked out."""
+
+    def __init__(self, safety):
+        self._safety, self.count = safety, 0
+
+    def tool(self, q):
+        self.count += 1
+        return self._safety.tool(q)
+
+    def spheres(self, q, opening):
+        return self._safety.spheres(q, opening)
+
+    def project(self, *args):
+        return self._safety.project(*args)
+
+
+def crowded(robot):
+    """A cube between walls that leave no clear way down to it."""
+    things = [
+        SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0))),
+        SceneObject("cube", "object", Box((0.02, 0.02, 0.025)), Pose((0.45, 0.1, 0.025)), error=0.009),
+    ]
+    for k, (dx, dy) in enumerate([(0.06, 0.0), (-0.06, 0.0), (0.0, 0.06), (0.0, -0.06)]):
+        things.append(SceneObject(f"wall{k}", "object", Box((0.01, 0.01, 0.1)), Pose((0.45 + dx, 0.1 + dy, 0.1))))
+    return Scene(robot, 0.0, 1, tuple(things))
+
+
+@pytest.mark.parametrize("robot", BODIES)
+def test_no_tick_thinks_longer_than_its_share(robot):
+    """In a crowd, where a grasp is chosen among dozens: thousands of postures, a few in every tick."""
+    body = load_body(robot)
+    lent, state, scene = Counted(SafetyFilter(body)), at_home(body), crowded(robot)
+    limb = limb_of(body, lent)
+    assert isinstance(limb, Limb)
+    tool = lent.tool(state.q)
+    words = {"object": "cube", "speed": 0.2, "clearance": 0.15, "finger_axis": "along", "opening": 0.06}
+    running = Running(limb, "grasp", {**words, "approach": "top", "wait": "none", "force": 20.0})
+    ticks, worst = 0, 0
+    lent.count = 0
+    while True:
+        before = lent.count
+        said = running.nominal(Senses(state, scene, 0.001 * ticks, tool))
+        worst = max(worst, lent.count - before)
+        if said is not None:
+            break
+        ticks += 1
+    assert isinstance(said, Nominal)
+    assert worst <= 2 * glances(body.period)  # a glance is a posture, or two where one way ends and the next begins
+    assert lent.count > 20 * worst
+    assert ticks * body.period < 3.0
+
+
+def test_thinking_takes_the_same_share_of_every_period():
+    assert glances(0.001) == PACE / 1000
+    assert glances(0.02) == PACE / 50
+    assert glances(1e-6) == 1
+    assert np.isclose(glances(0.002) / 0.002, PACE)
