@@ -58,6 +58,13 @@ class View:
     known: Collection[str] = ()
     touches: Collection[Touch] = ()
 
+    def same(self, other: View) -> bool:
+        """Whether the other is a view of this very scene, otherwise alike."""
+        return self.scene is other.scene and self._rest() == other._rest()
+
+    def _rest(self) -> tuple[object, ...]:
+        return self.opening, self.held, tuple(self.known), tuple(self.touches)
+
 
 @dataclass(frozen=True, slots=True)
 class Hindrance:
@@ -85,6 +92,7 @@ class Foresight:
         self._upper = np.array([joint.upper.value for joint in body.joints])
         frames = [link.frame for link in body.links for sphere in body.spheres if sphere.link == link.name]
         self._bolted = np.array(frames) == 0
+        self._met: tuple[View, list[Hindrance]] | None = None
 
     def room(
         self, q: Array, points: Sequence[Goal], view: View, *, leaving: int = 0, beat: float = -np.inf
@@ -93,7 +101,7 @@ class Foresight:
 
         The first `leaving` postures do not count, as long as any is left. Broken off once it is not above `beat`.
         """
-        hindrances = yield from self._hindrances(q, view)
+        hindrances = yield from self._meet(q, view)
         least, shown = np.inf, list[Array]()
         for index, posture in enumerate(self.way(q, points)):
             if index <= leaving:
@@ -135,8 +143,13 @@ class Foresight:
         q = q + damped(tool.jacobian, share * twist, pull)
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
+    def _meet(self, q: Array, view: View) -> Thought[list[Hindrance]]:
+        """What the way is held against; made once for every view."""
+        if self._met is None or not view.same(self._met[0]):
+            self._met = view, (yield from self._hindrances(q, view))
+        return self._met[1]
+
     def _hindrances(self, q: Array, view: View) -> Thought[list[Hindrance]]:
-        """What the way is held against."""
         _, radii, groups = self._motion.spheres(q, view.opening)
         extra = next((thing.error for thing in view.scene.objects if thing.name == view.held), 0.0)
         reach = radii + np.array([extra if group == "held" else 0.0 for group in groups])

@@ -86,7 +86,13 @@ def comfortable_first(limb: Limb, goals: Iterable[Goal | None]) -> Finds[Goal]:
 
 
 def descent_room(limb: Limb, at: Goal, thing: SceneObject, clearance: float, beat: float = -np.inf) -> Thought[float]:
-    """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down."""
+    """Least room [m] on the way down from the station to `at`; none at all where the arm cannot come down.
+
+    Where it ends is looked at first: what is too close is too close there, nearly always. `beat` as in `Limb.air`.
+    """
+    below = yield from limb.air(at.posture, (), "descend", limb.opening)
+    if below <= beat:
+        return below
     low = yield from brink(limb, at, thing)
     above = yield from limb.reachable(low, _over(limb, low, thing, clearance))
     if above is None:

@@ -121,6 +121,9 @@ def _release_goal(limb: Limb, position: Array, height: float, route: str, *, til
 
     def air(goal: Goal, beat: float) -> Thought[float]:
         """Down and up again; and, where that is clear, on the way there."""
+        below = yield from limb.air(goal.posture, (), "lower")
+        if below <= beat:
+            return below
         above = yield from _at(limb, goal, height)
         away = lifted(goal, float(goal.position[2]) + AWAY)
         room = yield from limb.air(above.posture, [goal, away], "lower", beat=beat)
