@@ -13,7 +13,6 @@ from dualbrain.runtime.gatekeeper.messages import Act, Operate
 from dualbrain.safety.checks import CHECKS, RESET_HELD
 from dualbrain.safety.order import Rung
 from dualbrain.safety.supervisor import Supervisor
-from dualbrain.world import visual_meshes
 
 from .browser import Browser
 
@@ -108,8 +107,7 @@ return said && said.textContent.includes('sent') ? {
 } : null;"""
 
 
-def test_a_browser_stops_the_arm_and_nothing_else_is_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(visual_meshes, "mesh_folder", lambda: None)  # few balls: software drawing is slow
+def test_a_browser_stops_the_arm_and_nothing_else_is_free(tmp_path: Path) -> None:
     body = load_body("panda")
     one, told = board()
     view = LiveView(msgspec.structs.replace(body, spheres=body.spheres[::12]), 18130, board=one)

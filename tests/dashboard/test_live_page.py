@@ -3,14 +3,12 @@
 from pathlib import Path
 
 import msgspec
-import pytest
 
 from dualbrain.dashboard.live import LiveView
 from dualbrain.dashboard.numbers import key_numbers
 from dualbrain.embodiment.body import load_body
 from dualbrain.records import Episode
 from dualbrain.runtime.trace import Trace
-from dualbrain.world import visual_meshes
 
 from .browser import Browser
 from .conftest import scene
@@ -32,11 +30,8 @@ return {
 }"""
 
 
-def test_the_page_shows_the_run_and_its_end(
-    tmp_path: Path, trace: Trace, episode: Episode, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_shows_the_run_and_its_end(tmp_path: Path, trace: Trace, episode: Episode) -> None:
     (tmp_path / "episode.json").write_bytes(msgspec.json.encode(episode))
-    monkeypatch.setattr(visual_meshes, "mesh_folder", lambda: None)  # a body of few balls: software drawing is slow
     body = load_body("panda")
     body = msgspec.structs.replace(body, spheres=body.spheres[::12])
     view = LiveView(body, 18100, instruction=episode.instruction)

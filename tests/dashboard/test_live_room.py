@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dualbrain.dashboard.live import AT_TABLE, IN_ROOM, LiveView, free_port
+from dualbrain.dashboard.live_panel import numbers_html, speeds_of, spoken_speeds
 from dualbrain.dashboard.live_scene import LiveScene
 from dualbrain.dashboard.report import _spent
 from dualbrain.dashboard.view_state import ViewState
@@ -16,10 +17,13 @@ class Canvas:
     """What is asked of viser's scene, written down."""
 
     def __init__(self):
-        self.meshes = {}
+        self.meshes, self.labels = {}, {}
 
     def add_mesh_simple(self, name, vertices, faces, **_):
         self.meshes[name] = np.asarray(vertices), np.asarray(faces)
+
+    def add_label(self, name, text, **_):
+        self.labels[name] = text
 
     def add_frame(self, *_, **__):
         return self
@@ -37,6 +41,34 @@ def test_the_floor_is_the_region_that_the_base_may_drive_on():
     x, y = np.transpose(scene.region)
     assert np.all(areas > 0.0)
     assert areas.sum() == pytest.approx(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def test_the_places_that_it_can_be_sent_to_are_named_where_they_are():
+    canvas, scene = Canvas(), as_specified(open_scene("workroom:1", "mobile_panda"))
+    live = LiveScene(canvas)
+    for _ in range(2):
+        live.update(ViewState(0.0, {}, scene, np.empty((0, 3)), np.empty(0)))
+    assert sorted(canvas.labels.values()) == ["bench", "charger", "shelf"]
+    for place in scene.places:
+        points, _ = canvas.meshes[f"/scene/place_{place.name}"]
+        assert np.ptp(points[:, 0]) == pytest.approx(0.24)
+
+
+def test_the_panel_tells_speeds_of_what_moves():
+    base, arm, both = (load_body(name) for name in ("base", "ur5e", "mobile_panda"))
+    assert [row[2] for row in speeds_of(base)] == ["m/s", "rad/s"]
+    assert [row[2] for row in speeds_of(arm)] == ["rad/s"]
+    assert spoken_speeds(base, np.array([0.4, -0.2])) == {"drive": 0.4, "turn": -0.2}
+    assert spoken_speeds(arm, np.array([0.3, 0.4, 0, 0, 0, 0])) == {"speed": pytest.approx(0.5)}
+    u = np.array([0.1, 0.2, 0.3, 0.4, *np.zeros(5)])
+    numbers = spoken_speeds(both, u)
+    assert numbers == {"drive": 0.1, "turn": 0.2, "speed": pytest.approx(0.5)}
+    state = ViewState(0.0, {}, as_specified(open_scene("1", "mobile_panda")), numbers=numbers)
+    shown = numbers_html(state, speeds_of(both))
+    for label, text in (("driving", "0.10"), ("turning", "0.20"), ("joint speed", "0.50")):
+        assert label in shown
+        assert f">{text}<" in shown
+    assert "joint speed" not in numbers_html(state, speeds_of(base))
 
 
 def test_a_table_has_no_floor():

@@ -146,3 +146,35 @@ def test_an_aisle_is_free_narrow_or_occupied():
         other = "right" if parcels == "left" else "left"
         assert f"aisle_{other} {('occupied', 'free', 'occupied')[seed % 3]}" in text
     assert "aisle" not in summarise(as_specified(open_scene("crossing:1", "base")))
+
+
+def test_of_a_workroom_it_says_where_things_can_be_reached_and_where_to_look_there():
+    for family, seed in (("workroom", 0), ("workroom", 4), ("busy_workroom", 1)):
+        spec = open_scene(f"{family}:{seed}", "mobile_panda")
+        text = summarise(as_specified(spec))
+        side = np.sign(spec.place("bench").position[1])
+        assert line(text, "bench") == f"bench: before table, heading {side * np.pi / 2:.2f}"
+        assert line(text, "red_cube").startswith("red_cube: object, at bench, free_finger_axis")
+        assert line(text, "blue_bowl") == "blue_bowl: container, at bench"
+        assert "places: shelf, charger, bench" in text
+        assert "near_edge" not in text
+
+
+def test_on_furniture_heights_count_from_its_top_and_edges_are_its_own():
+    table = box("table", 1.0, 0.0, (0.3, 0.4, 0.3), role="support")
+    cube, can = (box(name, 1.0, y, half, z=0.6 + half[2]) for name, y, half in (
+        ("red_cube", 0.0, (0.02, 0.02, 0.02)), ("green_can", 0.08, (0.02, 0.02, 0.05)),
+    ))  # fmt: skip
+    room = msgspec.structs.replace(
+        scene(cube, can), objects=(table, cube, can), region=((-1.0, -2.0), (3.0, -2.0), (3.0, 2.0), (-1.0, 2.0)),
+        places=(Place("desk", (0.2, 0.0, 0.0)), Place("door", (-0.8, 0.0, 0.0))),
+    )  # fmt: skip
+    text = summarise(room)
+    assert line(text, "desk") == "desk: before table, heading 0.00"
+    assert "hand_high" in line(text, "red_cube")
+    assert "near_edge" not in text
+    at_edge = msgspec.structs.replace(cube, pose=Pose((0.72, 0.0, 0.62)))
+    moved = msgspec.structs.replace(room, objects=(table, at_edge, can))
+    assert "near_edge" in line(summarise(moved), "red_cube")
+    fallen = msgspec.structs.replace(cube, pose=Pose((0.4, 0.5, 0.02)))
+    assert ", at desk" not in line(summarise(msgspec.structs.replace(room, objects=(table, fallen))), "red_cube")

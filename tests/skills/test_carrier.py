@@ -17,9 +17,12 @@ from dualbrain.runtime.trace import Trace
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills.carrier import Frame
 from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.agenda import Agenda, Home, Rested, errand_of
+from dualbrain.world.arrival import At
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.task import Goal, goal_of
 
 BODY = load_body("mobile_panda")
 GRASP = ("grasp", {"object": "red_cube", "force": 20.0, "speed": 0.2, "clearance": 0.1, "finger_axis": "along",
@@ -96,6 +99,30 @@ def test_the_gate_asks_for_reach_only_where_the_robot_stands():
     assert "reach" in refused[0].hint
     assert all(rule(later) is None for rule in rules)
     assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a full hand"
+
+
+def test_it_is_not_driven_into_a_container():
+    scene = as_specified(open_scene("workroom:0", BODY.name))
+    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    refused = [answer for rule in rules if (answer := rule(contract(drive_to("blue_bowl")))) is not None]
+    assert refused[0].allowed == ["shelf", "charger", "bench"]
+    assert all(rule(contract(drive_to("bench"))) is None for rule in rules)
+
+
+def test_words_about_places_and_words_about_things_are_goals_of_one_room():
+    spec = open_scene("workroom:0", BODY.name)
+    assert goal_of("go to the bench", spec) == At("bench")
+    assert goal_of("put the red cube in the blue bowl", spec) == Goal("red_cube", "blue_bowl")
+    both = errand_of("go to the shelf, then put the red cube in the blue bowl, then go home", spec)
+    assert both == Agenda(((At("shelf"),), (Goal("red_cube", "blue_bowl"),), (Home(),)))
+
+
+def test_at_home_is_a_matter_of_the_arm():
+    shop = Shop(at=(1.0, 0.5, 0.3))
+    rested = Rested(shop.plant)
+    assert rested.judge()[0]
+    shop.plant.place_arm(np.array([1.0, 0.5, 0.3, *(BODY.home[3:] + np.eye(7)[0] * 0.3)]))
+    assert not rested.judge()[0]
 
 
 def test_the_arm_sees_its_work_from_where_it_stands():

@@ -13,14 +13,17 @@ from rich.console import Console
 
 from dualbrain.dashboard.live import LiveView
 from dualbrain.dashboard.live_buttons import OperatorBoard
+from dualbrain.dashboard.live_panel import spoken_speeds
 from dualbrain.dashboard.view_state import ViewState
-from dualbrain.records import Episode
+from dualbrain.records import Episode, Scene
 from dualbrain.runtime.gatekeeper.messages import Glimpse
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.local_layer import Moment
 from dualbrain.runtime.session import Session
 from dualbrain.runtime.trace import DEAD_BAND, Event
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.obstacles import from_scene
+from dualbrain.world.surfaces import surfaces
 
 LINES = 12
 
@@ -35,7 +38,9 @@ class Lookout:
         self._kinematics = SafetyFilter(session.body)
         code = secrets.token_urlsafe(9)
         board = OperatorBoard(session.operate, code) if isinstance(session, LiveSession) else None
-        self._view = LiveView(session.body, port, instruction=session.config.instruction, board=board)
+        self._view = LiveView(
+            session.body, port, instruction=session.config.instruction, board=board, surfaces=surfaces(session.plant)
+        )
         self._lines: deque[str] = deque(maxlen=LINES)
         self._deltas: list[float] = []
         self._h_min = float("inf")
@@ -62,14 +67,17 @@ class Lookout:
             "h_min": result.h_min, "delta": result.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            "speed": float(np.linalg.norm(result.u)), "elapsed": state.stamp,
+            **spoken_speeds(self._body, result.u), "elapsed": state.stamp,
             "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name,
             "barriers": ", ".join(result.barriers).replace("_", " "), "planner": "",
         }  # fmt: skip
         frames = self._plant.link_poses()
         self._view.show(
-            ViewState(state.stamp, frames, moment.scene, centres, radii, numbers=numbers, lines=tuple(self._lines))
-        )
+            ViewState(
+                state.stamp, frames, moment.scene, centres, radii, margins=_margins(moment.scene), numbers=numbers,
+                lines=tuple(self._lines),
+            )
+        )  # fmt: skip
 
     def glimpse(self, glimpse: Glimpse) -> None:
         """Show a tick of a gatekeeper's loop, as it was told over the socket."""
@@ -83,12 +91,16 @@ class Lookout:
             "h_min": nan if glimpse.h_min is None else glimpse.h_min, "delta": glimpse.delta,
             "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
             "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
-            "speed": glimpse.speed, "elapsed": glimpse.t, "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
+            **spoken_speeds(self._body, np.array(glimpse.u)), "elapsed": glimpse.t,
+            "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
             "status": glimpse.status, "barriers": ", ".join(glimpse.barriers).replace("_", " "), "planner": "",
         }  # fmt: skip
         self._plant.place_arm(q, glimpse.opening)
         frames, lines = self._plant.link_poses(), tuple(self._lines)
-        self._view.show(ViewState(glimpse.t, frames, glimpse.scene, centres, radii, numbers=numbers, lines=lines))
+        margins = _margins(glimpse.scene)
+        self._view.show(
+            ViewState(glimpse.t, frames, glimpse.scene, centres, radii, margins=margins, numbers=numbers, lines=lines)
+        )
 
     def finish(self, episode: Episode, *, stay: bool) -> None:
         """Show the end; with `stay` and a terminal, keep the page until Ctrl-C."""
@@ -101,3 +113,8 @@ class Lookout:
             except KeyboardInterrupt:
                 pass
         self._view.close()
+
+
+def _margins(scene: Scene) -> dict[str, float]:
+    """How far the filter inflates each thing [m]."""
+    return {one.name: one.margin for one in from_scene(scene, known=(), held=None)}

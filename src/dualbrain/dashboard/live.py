@@ -12,8 +12,8 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from dualbrain.dashboard.live_buttons import LiveButtons, OperatorBoard
-from dualbrain.dashboard.live_panel import LivePanel
-from dualbrain.dashboard.live_robot import LiveRobot
+from dualbrain.dashboard.live_panel import LivePanel, speeds_of
+from dualbrain.dashboard.live_robot import LiveRobot, Surfaces
 from dualbrain.dashboard.live_scene import LiveScene
 from dualbrain.dashboard.view_state import ViewState
 from dualbrain.embodiment.body import Body
@@ -28,7 +28,7 @@ RATE = 15.0
 """Pictures a second."""
 PORTS_TRIED = 20
 AT_TABLE = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
-IN_ROOM = (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2)
+IN_ROOM = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
 """Where the view begins, and what it looks at: an arm at its table, a base in its room [m]."""
 
 
@@ -43,8 +43,9 @@ class LiveView:
         other_port: bool = True,
         instruction: str = "",
         board: OperatorBoard | None = None,
+        surfaces: Surfaces | None = None,
     ) -> None:
-        """Serve on `port`, or with `other_port` on the next free one.
+        """Serve on `port`, or with `other_port` on the next free one; links without `surfaces` are drawn as spheres.
 
         Raises:
             MissingPart: viser is not installed.
@@ -57,9 +58,9 @@ class LiveView:
         self._server = serve(self.port)
         if body.mobile:
             self._server.initial_camera.position, self._server.initial_camera.look_at = IN_ROOM
-        self._robot = LiveRobot(self._server.scene, body)
+        self._robot = LiveRobot(self._server.scene, body, surfaces or {})
         self._scene = LiveScene(self._server.scene)
-        self._panel = LivePanel(self._server.gui)
+        self._panel = LivePanel(self._server.gui, speeds_of(body))
         self._toggles()
         if board is not None:
             LiveButtons(self._server, board)

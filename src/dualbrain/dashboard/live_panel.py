@@ -6,10 +6,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.dashboard.numbers import dimensionless, key_numbers, millimetres, seconds
 from dualbrain.dashboard.page import Html, element
 from dualbrain.dashboard.view_state import ViewState
+from dualbrain.embodiment.body import Body
 from dualbrain.records import Episode
 
 if TYPE_CHECKING:
@@ -29,12 +31,28 @@ STYLE = """<style>
 .db .good { color: #0a7f5f; } .db .bad { color: #c4500a; }
 </style>"""
 
-ROWS = (
+Row = tuple[str, str, str]
+"""Name in the numbers of a moment, label for people, unit."""
+ROWS: tuple[Row, ...] = (
     ("phase", "phase", ""), ("status", "filter", ""), ("barriers", "barriers that bind", ""),
     ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
-    ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"), ("speed", "joint speed", "rad/s"),
-    ("planner", "planner", ""), ("elapsed", "elapsed", "s"),
+    ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"),
 )  # fmt: skip
+LAST_ROWS: tuple[Row, ...] = (("planner", "planner", ""), ("elapsed", "elapsed", "s"))
+JOINTS: tuple[Row, ...] = (("speed", "joint speed", "rad/s"),)
+DRIVES: tuple[Row, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
+
+
+def speeds_of(body: Body) -> tuple[Row, ...]:
+    """The rows about how fast `body` is asked to move: its joints, or its base, or both."""
+    return (*(DRIVES if body.mobile else ()), *(() if body.mobile and not body.carries_arm else JOINTS))
+
+
+def spoken_speeds(body: Body, u: NDArray[np.float64]) -> dict[str, float]:
+    """The numbers for those rows: v [m/s] and ω [rad/s] of a base, the norm of the joints' velocities [rad/s]."""
+    driving = {"drive": float(u[0]), "turn": float(u[1])} if body.mobile else {}
+    joints = u[2:] if body.mobile else u
+    return driving | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
 
 
 def live_text(name: str, value: float | str | None) -> str:
@@ -47,7 +65,7 @@ def live_text(name: str, value: float | str | None) -> str:
         return millimetres(value)
     if name == "intervention_frequency":
         return f"{100 * value:.2f}"
-    return seconds(value) if name in ("elapsed", "speed") else dimensionless(value)
+    return seconds(value) if name in ("elapsed", "speed", "drive", "turn") else dimensionless(value)
 
 
 def _row(identity: str, label: str, text: str, unit: str, **more: str) -> Html:
@@ -55,9 +73,10 @@ def _row(identity: str, label: str, text: str, unit: str, **more: str) -> Html:
     return element("tr", element("td", label), shown)
 
 
-def numbers_html(state: ViewState) -> str:
+def numbers_html(state: ViewState, speeds: tuple[Row, ...] = JOINTS) -> str:
     """The table of live numbers."""
-    rows = (_row(f"live-{name}", label, live_text(name, state.numbers.get(name)), unit) for name, label, unit in ROWS)
+    shown = (*ROWS, *speeds, *LAST_ROWS)
+    rows = (_row(f"live-{name}", label, live_text(name, state.numbers.get(name)), unit) for name, label, unit in shown)
     return STYLE + element("div", element("table", *rows), class_="db")
 
 
@@ -85,8 +104,9 @@ def final_html(episode: Episode) -> str:
 class LivePanel:
     """GUI nodes of the panel."""
 
-    def __init__(self, gui: GuiApi) -> None:
-        """Add the final account (hidden), the numbers, the plots and the lines."""
+    def __init__(self, gui: GuiApi, speeds: tuple[Row, ...] = JOINTS) -> None:
+        """Add the final account (hidden), the numbers with the body's `speeds`, the plots and the lines."""
+        self._speeds = speeds
         self._history: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
         self._instruction = gui.add_html("")
         self._final = gui.add_html("", visible=False)
@@ -102,7 +122,7 @@ class LivePanel:
 
     def update(self, state: ViewState) -> None:
         """Show the moment."""
-        self._numbers.content = numbers_html(state)
+        self._numbers.content = numbers_html(state, self._speeds)
         self._lines.content = lines_html(state.lines)
         h, delta = state.numbers.get("h_min"), state.numbers.get("delta")
         if isinstance(h, float | int) and isinstance(delta, float | int) and np.isfinite((h, delta)).all():

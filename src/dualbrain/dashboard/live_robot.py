@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from dualbrain.dashboard.view_state import ViewState
 from dualbrain.embodiment.body import Body
-from dualbrain.errors import DualbrainError
 from dualbrain.records import Pose
 
 if TYPE_CHECKING:
     from viser import BatchedMeshHandle, FrameHandle, SceneApi
 
+    from dualbrain.world.visual_meshes import Patch
+
 Array = NDArray[np.float64]
+Surfaces = Mapping[str, "Sequence[Patch]"]
+"""Coloured triangles by link, each in the link's own frame."""
 
 CELL = 0.008
 """Details of the robot's surface below this size [m] are not sent to the browser, which may have no graphics card."""
@@ -48,8 +51,8 @@ def thinned(
 class LiveRobot:
     """Scene nodes of one body; frames of links that are not told stay where they were."""
 
-    def __init__(self, scene: SceneApi, body: Body) -> None:
-        """Add the body's surface, or its covering spheres where no meshes are installed."""
+    def __init__(self, scene: SceneApi, body: Body, surfaces: Surfaces) -> None:
+        """Add the body's `surfaces`, or the covering spheres of links that have none."""
         self._scene = scene
         self._spheres: BatchedMeshHandle | None = None
         self._show_spheres = False
@@ -57,9 +60,8 @@ class LiveRobot:
         self._links: dict[str, FrameHandle] = {}
         for link in body.links:
             self._links[link.name] = scene.add_frame(f"/robot/{link.name}", show_axes=False)
-        self.has_surface = self._dress(body)
-        if not self.has_surface:
-            self._cover(body)
+            self._dress(link.name, surfaces.get(link.name, ()))
+        self._cover(body, surfaces)
 
     def update(self, state: ViewState) -> None:
         """Move the links and the spheres."""
@@ -84,25 +86,16 @@ class LiveRobot:
             if (link := self._links.get(name)) is not None:
                 link.position, link.wxyz = pose.position, pose.quaternion
 
-    def _dress(self, body: Body) -> bool:
-        try:
-            from dualbrain.world.visual_meshes import mesh_folder, read_patches  # noqa: PLC0415  (needs mujoco)
-        except (ImportError, DualbrainError):
-            return False
-        folder = mesh_folder()
-        if folder is None or body.name != "panda":
-            return False
-        for link in body.links:
-            finger = link.group == "fingers"
-            turned = link.name == "right_finger"
-            for k, patch in enumerate(read_patches(folder / f"{'finger' if finger else link.name}.dae")):
-                points, faces = thinned(patch.points * ((-1, -1, 1) if turned else (1, 1, 1)), patch.faces)
-                colour = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(np.uint8)
-                self._scene.add_mesh_simple(f"/robot/{link.name}/{k}", points, faces, color=colour, side="double")
-        return True
+    def _dress(self, link: str, patches: Sequence[Patch]) -> None:
+        for k, patch in enumerate(patches):
+            points, faces = thinned(patch.points, patch.faces)
+            colour = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(np.uint8)
+            self._scene.add_mesh_simple(f"/robot/{link}/{k}", points, faces, color=colour, side="double")
 
-    def _cover(self, body: Body) -> None:
+    def _cover(self, body: Body, surfaces: Surfaces) -> None:
         for k, ball in enumerate(body.spheres):
+            if surfaces.get(ball.link):
+                continue
             self._scene.add_icosphere(
                 f"/robot/{ball.link}/{k}", ball.radius, color=(205, 208, 212), subdivisions=2, position=ball.centre
             )

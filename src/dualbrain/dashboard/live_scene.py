@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dualbrain.dashboard.view_state import ViewState
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, SceneObject, Shape, Sphere
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Place, SceneObject, Shape, Sphere
 
 if TYPE_CHECKING:
     from viser import FrameHandle, MeshHandle, SceneApi
@@ -30,6 +30,8 @@ BY_NAME = {
     "brown": (115, 77, 51), "grey": (133, 140, 148), "pink": (222, 133, 153), "black": (41, 43, 48),
     "clear": (184, 224, 242), "oak": (158, 120, 82),
 }  # fmt: skip
+PLACE_COLOUR, PLACE_RADIUS, MARK = (10, 127, 95), 0.12, 0.003
+"""How a place on the floor is marked: colour, radius and half height [m]."""
 MARGIN_COLOUR = (240, 160, 60)
 
 
@@ -52,6 +54,7 @@ class LiveScene:
         self._things: dict[str, _Thing] = {}
         self._show_margins = True
         self._region: tuple[tuple[float, float], ...] = ()
+        self._places: tuple[Place, ...] = ()
         self._target = scene.add_icosphere("/target", 0.012, color=(10, 127, 95), opacity=0.85, visible=False)
 
     def update(self, state: ViewState) -> None:
@@ -64,6 +67,9 @@ class LiveScene:
         if state.scene.region != self._region:
             self._region = state.scene.region
             self._floor(self._region)
+        if state.scene.region and state.scene.places != self._places:
+            self._places = state.scene.places
+            self._mark(self._places)
         self._target.visible = state.target is not None
         if state.target is not None:
             self._target.position = state.target
@@ -77,6 +83,16 @@ class LiveScene:
         corners = np.array([(x, y, FLOOR_BELOW) for x, y in region])
         faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
         self._scene.add_mesh_simple("/scene/floor", corners, faces, color=BY_ROLE["support"], side="double")
+
+    def _mark(self, places: tuple[Place, ...]) -> None:
+        """Where a base can be sent: a disc on the floor with the place's name."""
+        for place in places:
+            path, (x, y, z) = f"/scene/place_{place.name}", place.position
+            disc = surface(Cylinder(PLACE_RADIUS, MARK))
+            self._scene.add_mesh_simple(
+                path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + MARK),
+            )  # fmt: skip
+            self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
 
     def _show(self, thing: SceneObject, margin: float) -> None:
         node = self._things.get(thing.name)

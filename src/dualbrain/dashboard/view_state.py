@@ -21,9 +21,9 @@ class ViewState:
 
     `frames`: pose of each link of the body by name. `centres` (k, 3), `radii` (k,) [m]: the filter's spheres, with
     `clearances` (k,) [m], the least h of any row of each sphere (empty if unknown). `margins`: how far [m] the filter
-    inflates each thing of the `scene`. `numbers`: h_min [m], delta, Delta, intervention_frequency, speed [rad/s],
-    elapsed [s] and the words phase, status, barriers (those that bind), planner. `lines`: verdicts and other news,
-    newest last.
+    inflates each thing of the `scene`. `numbers`: h_min [m], delta, Delta, intervention_frequency, speed of the joints
+    [rad/s], drive [m/s] and turn [rad/s] of a base, elapsed [s] and the words phase, status, barriers (those that
+    bind), planner. `lines`: verdicts and other news, newest last.
     """
 
     t: float

@@ -12,7 +12,7 @@ import hashlib
 import json
 from typing import Any, TypedDict
 
-from dualbrain.planner import base_prompt, long_horizon
+from dualbrain.planner import base_prompt, carrier_prompt, long_horizon
 from dualbrain.planner.examples import DECLINING, WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.setback import LEAD, SETBACK_VERSION, setback_words
@@ -75,7 +75,7 @@ def render(request: PlanRequest) -> list[Message]:
     """The messages for `request`: system, exemplars as turns of question and answer, and the question."""
     names, skills = _split_names(request.skills_text)
     form = FORM.format(robot=request.robot, registry=request.registry_hash)
-    system = (base_prompt.SYSTEM if _drives(request) else SYSTEM).format(robot=request.robot, skills=skills, form=form)
+    system = _system(request).format(robot=request.robot, skills=skills, form=form)
     messages: list[Message] = [{"role": "system", "content": system}]
     for number, example in enumerate(_examples(request), start=1):
         contract_id = f"c-{number:04d}"
@@ -101,11 +101,21 @@ def template_hash() -> str:
 def beside_hash() -> str:
     """First 16 hex digits of the SHA-256 of the fixed text that stands in some questions only (`template_hash` beside).
 
-    That of several goals, and that of planning again. Single first questions hold none of it.
+    That of several goals, that of planning again, and that of an arm on a base. Single first questions to an arm or a
+    base hold none of it.
     """
     fixed = [SETBACK_VERSION, LEAD, long_horizon.LONG_HORIZON_VERSION, long_horizon.LEAD, long_horizon.RULES]
+    fixed += [carrier_prompt.CARRIER_VERSION, carrier_prompt.SYSTEM]
+    fixed += [list(example) for example in carrier_prompt.EXAMPLES]
     examples = [list(example) for of in long_horizon.EXAMPLES.values() for example in of]
     return hashlib.sha256(json.dumps([fixed, examples], sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _system(request: PlanRequest) -> str:
+    """The role and rules for the kind of body that is asked about."""
+    if _carries(request):
+        return carrier_prompt.SYSTEM
+    return base_prompt.SYSTEM if _drives(request) else SYSTEM
 
 
 def _split_names(skills_text: str) -> tuple[str, str]:
@@ -120,6 +130,8 @@ def _examples(request: PlanRequest) -> list[WorkedExample]:
     recalled = [_from_memory(exemplar) for exemplar in request.recall.exemplars[:MAX_RECALLED]]
     usable = [example for example in recalled if example is not None]
     left = MAX_EXEMPLARS - len(usable)
+    if _carries(request):
+        return [*carrier_prompt.fitting(request.instruction, request.scene, left), *usable[::-1]]
     if _drives(request):
         return [*base_prompt.EXAMPLES[-left:], *usable[::-1]] if left else usable[::-1]
     if wanted := long_horizon.needs(request):
@@ -131,6 +143,11 @@ def _examples(request: PlanRequest) -> list[WorkedExample]:
 def _drives(request: PlanRequest) -> bool:
     """Whether the registry that is asked about is a base's."""
     return request.skills_text.startswith("drive_to(")
+
+
+def _carries(request: PlanRequest) -> bool:
+    """Whether it is that of an arm on a base."""
+    return _drives(request) and "\ngrasp(" in request.skills_text
 
 
 def _from_memory(exemplar: Exemplar) -> WorkedExample | None:

@@ -61,8 +61,12 @@ def _decline_alone(contract: Contract) -> Rejected | None:
 
 
 def _on_the_map(contract: Contract, scene: Scene, chassis: Chassis) -> Rejected | None:
-    """A point to drive to lies on the floor that may be driven on, and the base has room there."""
+    """What is driven to is a place; a point lies on the floor that may be driven on, and the base has room there."""
+    places = [place.name for place in scene.places]
     for index, action in enumerate(contract.action_sequence):
+        if action.skill == "drive_to" and action.params["place"] not in places:
+            pointer, hint = f"/action_sequence/{index}/params/place", "nobody drives into a container: name a place"
+            return Rejected("envelope", pointer, action.params["place"], places, hint)
         if action.skill == "drive_to_pose":
             spot = np.array([float(action.params["x"]), float(action.params["y"])])
             if float(clearance(scene, spot)) < chassis.radius:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.linalg import matrix
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Place, Scene, SceneObject, Sphere
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Place, Pose, Scene, SceneObject, Sphere
 from dualbrain.skills.geometry import bottom, finger_direction, top, width
 
 Array = NDArray[np.float64]
@@ -25,6 +26,10 @@ BESIDE = 0.12
 """Gaps wider than this [m] are no neighbours."""
 PATH_WIDTH = 0.10
 """Things within this distance of the straight path count as standing on it [m]."""
+EDGE = 0.06
+"""Nearer than this to the edge of what it stands on, a thing is near the edge [m]."""
+UPON, AT_HAND = 0.05, 0.7
+"""A thing stands on furniture if its bottom is that near to the top; a place is at furniture within the second [m]."""
 AISLE, IN_AISLE = "aisle_", 1.2
 """How places in aisles are called, and how near to one somebody is in that aisle [m]."""
 OVERHEAD = 0.25
@@ -32,17 +37,29 @@ OVERHEAD = 0.25
 
 
 def summarise(scene: Scene, holding: str | None = None) -> str:
-    """What the planner is told of `scene`: one line a thing, a path, a person; symbols only."""
+    """What the planner is told of `scene`: one line a thing, a path, a person; symbols only.
+
+    Of a room in which things stand on furniture, also from which place they can be reached, and where to look there.
+    """
     if scene.region:
-        return _room(scene)
+        return _workroom(scene, holding) if _furniture(scene) else _room(scene)
     lines = [f"robot {scene.robot}; holding {holding or 'nothing'}"]
     lines += [_object_line(scene, thing) for thing in scene.objects if thing.role == "object"]
     containers = (thing for thing in scene.objects if thing.role == "container")
     lines += [f"{thing.name}: container{_held_in(scene, thing)}" for thing in containers]
     lines.append(f"person: {_person(scene)}")
     if scene.places:
-        lines.append("places: " + ", ".join(place.name for place in scene.places))
+        lines.append(_places(scene))
     return "\n".join(lines)
+
+
+def _places(scene: Scene) -> str:
+    return "places: " + ", ".join(place.name for place in scene.places)
+
+
+def _about(scene: Scene, roles: tuple[str, ...]) -> str:
+    standing = ", ".join(thing.name for thing in scene.objects if thing.role in roles)
+    return f"standing about: {standing or 'nothing'}"
 
 
 def _held_in(scene: Scene, container: SceneObject) -> str:
@@ -63,11 +80,83 @@ def _held_in(scene: Scene, container: SceneObject) -> str:
 
 def _room(scene: Scene) -> str:
     """A room as a base is told of it: where it can go, what stands about, and people."""
-    standing = ", ".join(thing.name for thing in scene.objects if thing.role in ("object", "obstacle", "container"))
-    places = ", ".join(place.name for place in scene.places)
-    lines = [f"robot {scene.robot}", f"places: {places}", f"standing about: {standing or 'nothing'}"]
+    lines = [f"robot {scene.robot}", _places(scene), _about(scene, ("object", "obstacle", "container"))]
     aisles = ", ".join(f"{place.name} {_aisle(scene, place)}" for place in scene.places if _is_aisle(place))
     return "\n".join([*lines, *([f"aisles: {aisles}"] if aisles else []), f"person: {_person(scene)}"])
+
+
+def _furniture(scene: Scene) -> list[SceneObject]:
+    """What things stand on in a room."""
+    return [thing for thing in scene.objects if thing.role == "support" and isinstance(thing.shape, Box)]
+
+
+def _workroom(scene: Scene, holding: str | None) -> str:
+    """A room as an arm on a base is told of it."""
+    before = {thing.name: _before(scene, thing) for thing in _furniture(scene)}
+    lines = [f"robot {scene.robot}; holding {holding or 'nothing'}", _places(scene)]
+    lines += [f"{at.place}: before {name}, heading {at.heading:.2f}" for name, at in before.items() if at]
+    for thing in scene.objects:
+        if thing.role not in ("object", "container") or thing.name == holding:
+            continue
+        carrier = _under(scene, thing)
+        at = before[carrier.name] if carrier else None
+        where = f", at {at.place}" if at else ""
+        if thing.role == "container":
+            lines.append(f"{thing.name}: container{where}{_held_in(scene, thing)}")
+        else:
+            seen = _lowered(scene, top(carrier)) if carrier else scene
+            line = _object_line(seen, seen.find(thing.name))
+            lines.append(line.replace(": object", f": object{where}", 1))
+    return "\n".join([*lines, _about(scene, ("obstacle",)), f"person: {_person(scene)}"])
+
+
+class Stand(NamedTuple):
+    """A place from which a piece of furniture can be worked at, and the heading [rad] that looks at it from there."""
+
+    place: str
+    heading: float
+
+
+def _before(scene: Scene, furniture: SceneObject) -> Stand | None:
+    """The place nearest to `furniture`, if it is within an arm's reach of its edge."""
+    gaps = {place.name: _to_edge(furniture, np.asarray(place.position)) for place in scene.places}
+    name = min(gaps, key=lambda name: float(np.linalg.norm(gaps[name])), default=None)
+    if name is None or float(np.linalg.norm(gaps[name])) > AT_HAND:
+        return None
+    x, y = gaps[name]
+    return Stand(name, float(np.arctan2(y, x)))
+
+
+def _to_edge(furniture: SceneObject, spot: Array) -> Array:
+    """From `spot` to the nearest point of the outline of `furniture` (2,) [m]."""
+    assert isinstance(furniture.shape, Box)
+    turn, half = matrix(furniture.pose.quaternion)[:2, :2], np.asarray(furniture.shape.half_extents)[:2]
+    middle = np.asarray(furniture.pose.position)[:2]
+    inside = (spot[:2] - middle) @ turn
+    return turn @ (np.clip(inside, -half, half) - inside)
+
+
+def _under(scene: Scene, thing: SceneObject) -> SceneObject | None:
+    """The furniture that `thing` stands on."""
+    return next(
+        (
+            one
+            for one in _furniture(scene)
+            if abs(bottom(thing) - top(one)) < UPON
+            and not np.any(_to_edge(one, np.asarray(thing.pose.position)))
+        ),
+        None,
+    )  # fmt: skip
+
+
+def _lowered(scene: Scene, height: float) -> Scene:
+    """The scene as seen from a frame at `height` [m], as an arm sees its table."""
+
+    def down(thing: SceneObject) -> SceneObject:
+        x, y, z = thing.pose.position
+        return msgspec.structs.replace(thing, pose=Pose((x, y, z - height), thing.pose.quaternion))
+
+    return msgspec.structs.replace(scene, objects=tuple(down(thing) for thing in scene.objects))
 
 
 def _is_aisle(place: Place) -> bool:
@@ -91,7 +180,7 @@ def _object_line(scene: Scene, thing: SceneObject) -> str:
     free = min(crowd, key=lambda axis: crowd[axis])
     words = ["object", f"free_finger_axis {free}"] + (["tight"] if crowd[free] > TIGHT else [])
     words += [f"neighbour_{axis} {max(found, key=lambda one: one.overlap)}" for axis, found in beside.items() if found]
-    words += ["near_edge"] if _near_edge(thing) else []
+    words += ["near_edge"] if _near_edge(scene, thing) else []
     words += ["fragile"] if thing.fragile_limit is not None else []
     words += [_path(scene, thing, end) for end in _ends(scene)]
     return f"{thing.name}: " + ", ".join(words)
@@ -198,7 +287,13 @@ def _off(start: Array, end: Array, thing: SceneObject) -> float:
     return max(0.0, float(np.linalg.norm(centre - start - along * line)) - _reach(thing))
 
 
-def _near_edge(thing: SceneObject) -> bool:
-    """Whether the thing's middle is within 6 cm of the edge of the table (x −0.20 … 0.95 m, y ±0.65 m)."""
+def _near_edge(scene: Scene, thing: SceneObject) -> bool:
+    """Whether the thing's middle is within 6 cm of the edge of the table (x −0.20 … 0.95 m, y ±0.65 m) or furniture."""
     x, y, _ = thing.pose.position
-    return bool(min(0.95 - x, x + 0.20, 0.65 - y, y + 0.65) < 0.06)
+    under = _under(scene, thing)
+    if under is not None:
+        assert isinstance(under.shape, Box)
+        turn = matrix(under.pose.quaternion)[:2, :2]
+        inside = (np.array([x, y]) - np.asarray(under.pose.position)[:2]) @ turn
+        return bool(np.min(np.asarray(under.shape.half_extents)[:2] - np.abs(inside)) < EDGE)
+    return bool(min(0.95 - x, x + 0.20, 0.65 - y, y + 0.65) < EDGE)

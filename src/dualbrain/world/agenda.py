@@ -148,7 +148,7 @@ class AgendaReferee:
 
 
 class Rested:
-    """Whether the arm is in its home posture."""
+    """Whether the arm is in its home posture, wherever a base has carried it."""
 
     def __init__(self, plant: Plant) -> None:
         """Of this plant."""
@@ -160,7 +160,7 @@ class Rested:
     def judge(self) -> tuple[bool, float]:
         """(success, progress) as of now."""
         q = self._plant.data.qpos[self._plant.arm_slices[0]]
-        there = float(np.max(np.abs(q - np.array(self._plant.body.home)))) < RESTING
+        there = float(np.max(np.abs(q - np.array(self._plant.body.home)[-len(q) :]))) < RESTING
         still = bool(np.all(np.abs(self._plant.speed()) < STILL))
         return there and still, float(there and still)
 

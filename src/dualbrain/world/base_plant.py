@@ -16,10 +16,9 @@ import mujoco
 import numpy as np
 
 from dualbrain.embodiment.robot import Array, Command, RobotState
-from dualbrain.records import Pose
 from dualbrain.world.drive import ARM_GROUP, DriveKind
 from dualbrain.world.model_provider import BASE_JOINTS
-from dualbrain.world.plant import Plant, pose_of
+from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PERIOD, PREFIX
 
 WHEEL_LAG = 0.04
@@ -91,10 +90,9 @@ class BasePlant(Plant):
         mujoco.mj_forward(self.model, self.data)
         self._forget()
 
-    def link_poses(self) -> dict[str, Pose]:
-        """True pose of the base by its link's name, for pictures."""
-        part = self.data.body(f"{PREFIX}link0")
-        return {self.body.links[0].name: pose_of(part.xpos, part.xquat)}
+    def parts(self) -> dict[str, str]:
+        """The base is one part."""
+        return {self.body.links[0].name: f"{PREFIX}link0"}
 
     def _forget(self) -> None:
         self._u[:], self._wheels[:] = 0.0, 0.0

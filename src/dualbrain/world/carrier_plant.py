@@ -17,11 +17,10 @@ import numpy as np
 from dualbrain.embodiment.mobile_manipulator import BASE_JOINTS as DRIVEN
 from dualbrain.embodiment.mobile_manipulator import BASE_WIDTH
 from dualbrain.embodiment.robot import Array, RobotState
-from dualbrain.records import Pose
 from dualbrain.world.base_plant import BRAKES, WHEEL_LAG
 from dualbrain.world.drive import ComputedTorque, DriveKind
 from dualbrain.world.model_provider import BASE_JOINTS, PLATFORM
-from dualbrain.world.plant import Plant, pose_of
+from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PERIOD, PREFIX
 
 WHEELS_GROUP = 4
@@ -86,11 +85,9 @@ class CarrierPlant(Plant):
         mujoco.mj_jacSite(self.model, self.data, jacobian, turning, tool)
         return float(np.linalg.norm(jacobian[:, self._dof] @ arm))
 
-    def link_poses(self) -> dict[str, Pose]:
-        """True pose of every link by the body's names, for pictures."""
-        names = {self.body.links[0].name: PLATFORM}
-        parts = {link.name: self.data.body(f"{PREFIX}{names.get(link.name, link.name)}") for link in self.body.links}
-        return {name: pose_of(part.xpos, part.xquat) for name, part in parts.items()}
+    def parts(self) -> dict[str, str]:
+        """What MuJoCo calls the links; the first one is the platform."""
+        return super().parts() | {self.body.links[0].name: f"{PREFIX}{PLATFORM}"}
 
     def _drive(self) -> None:
         before = self._wheels

@@ -197,8 +197,12 @@ class Plant:
 
     def link_poses(self) -> dict[str, Pose]:
         """True pose of every link of the robot by the body's names, for pictures."""
-        parts = {link.name: self.data.body(f"{PREFIX}{link.name}") for link in self.body.links}
-        return {name: Pose(_vector(part.xpos), _quaternion(part.xquat)) for name, part in parts.items()}
+        found = {name: self.data.body(part) for name, part in self.parts().items()}
+        return {name: pose_of(part.xpos, part.xquat) for name, part in found.items()}
+
+    def parts(self) -> dict[str, str]:
+        """What MuJoCo calls each link of the body."""
+        return {link.name: f"{PREFIX}{link.name}" for link in self.body.links}
 
     def place_arm(self, q: Array, opening: float | None = None) -> None:
         """Put the arm at `q` at rest without passing in between (set-up and tests only)."""

@@ -43,7 +43,8 @@ def goal_of(words: str, spec: SceneSpec) -> Goal | At:
     Raises `InvalidSetup` for another sentence and `UnknownName` for names that the scene does not hold. A tall or
     fragile thing that goes onto a place must stay upright.
     """
-    if spec.region:
+    graspable = tuple(item.name for item in spec.things if item.role == "object")
+    if spec.region and not (graspable and re.match(r"(?:put|place|move) ", words.strip().lower())):
         return _place_of(words, spec)
     match = re.fullmatch(
         r"(?:put|place|move) (?:the )?(.+?) (?:in|into|on|onto|to|at) (?:the )?(.+?)\.?", words.strip().lower()
@@ -53,7 +54,6 @@ def goal_of(words: str, spec: SceneSpec) -> Goal | At:
             "goal", got=words, allowed='"put THING in DESTINATION" (also place, move; into, on, onto, to, at)'
         )
     thing, destination = (part.strip().replace(" ", "_") for part in match.groups())
-    graspable = tuple(item.name for item in spec.things if item.role == "object")
     receptive = tuple(item.name for item in spec.things if item.role == "container") + tuple(
         p.name for p in spec.places
     )

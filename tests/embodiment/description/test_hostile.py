@@ -6,6 +6,7 @@ import pytest
 
 from dualbrain.cli.robot_source import read_description
 from dualbrain.embodiment.description import safe_xml
+from dualbrain.embodiment.description.files import folders_of
 from dualbrain.embodiment.description.urdf import read_urdf
 from dualbrain.errors import InvalidSetup, MissingPart
 
@@ -41,6 +42,19 @@ def test_no_mesh_is_read_outside_the_folder(tmp_path, name):
         tree.links["a"].pieces[0].load()
     assert name in str(caught.value)
     assert "robot.urdf:3" in str(caught.value)
+
+
+def test_a_robot_copied_out_of_a_package_of_many_finds_its_own_meshes_and_no_others(tmp_path):
+    file = written(tmp_path / "arm" / "urdf", urdf(MESH.format("x.stl")))
+    (tmp_path / "arm" / "meshes").mkdir()
+    for name in ("arm/meshes/a.stl", "secret.stl"):
+        (tmp_path / name).write_text("solid")
+    folders = folders_of(file)
+    assert folders.find("package://many/robots/arm/meshes/a.stl", "here") == tmp_path / "arm" / "meshes" / "a.stl"
+    with pytest.raises(InvalidSetup, match="a file inside"):
+        folders.find("package://many/robots/arm/../secret.stl", "here")
+    with pytest.raises(MissingPart, match="the folder that holds 'many'"):
+        folders.find("package://many/robots/leg/meshes/a.stl", "here")
 
 
 def test_a_link_out_of_the_folder_is_followed_no_further(tmp_path):

@@ -40,8 +40,11 @@ class Folders:
         package, _, rest = name.removeprefix("package://").partition("/")
         roots = self._package_roots(package)
         if not roots:
+            if (alone := self._copied_out(rest)) is not None:
+                return self._inside((self.own,), alone, name, where)
             raise MissingPart(
-                f"The package {package!r} of {where} ({name})", fix="Say where it lies: --packages FOLDER (its parent)."
+                f"The package {package!r} of {where} ({name})",
+                fix=f"Say where it lies: --packages FOLDER, the folder that holds {package!r}.",
             )
         for root in roots:
             if (root / rest).is_file():
@@ -56,6 +59,17 @@ class Folders:
         found = [folder for folder in above if folder.name == package]
         found += [folder / package for folder in (*self.packages, *above) if (folder / package).is_dir()]
         return found
+
+    def _copied_out(self, rest: str) -> Path | None:
+        """The file in the description's own folder, if that is all that was copied out of a package of many robots.
+
+        `rest` is the name inside the package; the own folder's name stands in it.
+        """
+        parts = rest.split("/")
+        if self.own.name not in parts:
+            return None
+        path = self.own.joinpath(*parts[parts.index(self.own.name) + 1 :])
+        return path if path.is_file() else None
 
     @staticmethod
     def _inside(allowed: Sequence[Path], path: Path, name: str, where: str) -> Path:

@@ -331,7 +331,7 @@ class Gatekeeper:
         self.door.tell(
             Glimpse(
                 t=state.stamp, scene=moment.scene, q=tuple(state.q.tolist()), opening=state.opening,
-                speed=float(abs(result.u).max()), delta=result.delta,
+                u=tuple(result.u.tolist()), delta=result.delta,
                 h_min=None if isnan(result.h_min) else result.h_min, status=result.status.name,
                 barriers=result.barriers, skill=moment.skill, phase=moment.nominal.phase,
                 in_contract=moment.action >= 0, order=moment.order.action.name, check=moment.order.check,

@@ -127,7 +127,7 @@ class Glimpse(Message, frozen=True, kw_only=True):
     scene: Scene
     q: tuple[float, ...]
     opening: float
-    speed: float
+    u: tuple[float, ...]
     delta: float
     h_min: float | None
     status: str

@@ -1,0 +1,42 @@
+"""The robot's surfaces for pictures: they lie where the plant's own shapes lie, on every body."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dualbrain.embodiment.body import BODIES, load_body
+from dualbrain.linalg import matrix
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.surfaces import surfaces
+
+
+@pytest.mark.parametrize("robot", BODIES)
+def test_every_link_that_collides_is_drawn_where_it_is(robot):
+    body = load_body(robot)
+    plant = open_plant(open_scene("0", robot), body)
+    found, poses, model = surfaces(plant), plant.link_poses(), plant.model
+    for name, part in plant.parts().items():
+        owner = plant.data.body(part).id
+        solid = [i for i in range(model.ngeom) if model.geom_bodyid[i] == owner and model.geom_contype[i]]
+        if not solid:
+            continue
+        points = np.vstack([patch.points for patch in found[name]])
+        assert all(patch.faces.max() < len(patch.points) for patch in found[name])
+        drawn = points @ matrix(poses[name].quaternion).T + np.array(poses[name].position)
+        for i in solid:  # the middle of what collides lies among what is drawn
+            assert np.all(drawn.min(axis=0) - 0.02 < plant.data.geom_xpos[i])
+            assert np.all(plant.data.geom_xpos[i] < drawn.max(axis=0) + 0.02)
+
+
+def test_a_wheel_and_a_box_have_their_size_and_look_outward():
+    plant = open_plant(open_scene("0", "base"), load_body("base"))
+    (drawn,) = surfaces(plant).values()
+    for patch in drawn:
+        corners = patch.points[patch.faces].astype(float)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        outward = corners.mean(axis=1) - patch.points.mean(axis=0)
+        assert np.all(np.einsum("ij,ij->i", normals, outward) > 0.0)
+    housing = mujoco.mj_name2id(plant.model, mujoco.mjtObj.mjOBJ_GEOM, "robot/housing")
+    size = max((np.ptp(patch.points, axis=0) for patch in drawn), key=np.prod)
+    assert size == pytest.approx(2 * plant.model.geom_size[housing], abs=1e-6)
