@@ -3,11 +3,11 @@
     python benchmarks/mutants.py --seed N --count 60 [--jobs 1] [--resume] [--again] [--write-docs] [--json]
 
 Each mutant changes one place (a sign, an index, a unit factor, a comparison, a constant, a dropped term, a swapped
-pair) in a scratch copy, is compiled, and meets tests/safety and tests/invariants until the first failure; those go
-first that hold every number of a step against its definition. Recorded answers (golden hashes, vectors) and comparisons
-of builds are left out: they notice every bit and prove nothing. Mutants that do not compile, or whose object code is
-that of the original, are counted apart and others are drawn. One JSON line a mutant, written at once; `--resume` goes
-on, `--again` also tries the survivors again.
+pair) in a scratch copy, is compiled, and meets tests/safety, tests/invariants and tests/kernel/test_room.py until the
+first failure; those go first that hold every number of a step against its definition. Recorded answers (golden hashes,
+vectors) and comparisons of builds are left out: they notice every bit and prove nothing. Mutants that do not compile,
+or whose object code is that of the original, are counted apart and others are drawn. One JSON line a mutant, written
+at once; `--resume` goes on, `--again` also tries the survivors again.
 """
 
 from __future__ import annotations

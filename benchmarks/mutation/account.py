@@ -89,11 +89,11 @@ def write_document(path: Path, facts: dict, rows: list[dict]) -> None:
         f"{datetime.now(UTC):%Y-%m-%d}, revision {facts['revision']}.",
         "",
         "One place is changed in `kernel/src/*.c` or `safety/native.py`, everything is compiled anew in a scratch",
-        "copy, and `tests/safety` and `tests/invariants` run until the first failure; those go first that hold every",
-        "number of a step against its definition. Recorded answers (golden hashes, vectors) and comparisons of builds",
-        "are left out: they notice every bit and prove no law. A mutant counts as equivalent only with a reason below;",
-        "equivalent ones stay in the denominator, and the share without them is told beside. Mutants whose object code",
-        "is that of the original are counted apart.",
+        "copy, and `tests/safety`, `tests/invariants` and `tests/kernel/test_room.py` run until the first failure;",
+        "those go first that hold every number of a step against its definition. Recorded answers (golden hashes,",
+        "vectors) and comparisons of builds are left out: they notice every bit and prove no law. A mutant counts",
+        "as equivalent only with a reason below; equivalent ones stay in the denominator, and the share without",
+        "them is told beside. Mutants whose object code is that of the original are counted apart.",
         "",
     ]
     path.write_text("\n".join([*head, *table(facts, rows), "", "## Every mutant", "", *every, ""]))

@@ -22,9 +22,10 @@ COPIED = (
 )  # fmt: skip
 BUILDS = ("_kernel", "_kernel64")
 """What is compiled: the same sources as the wider builds."""
-SHARP = tuple(f"tests/safety/test_{name}.py" for name in ("inside", "active_set", "edges", "told", "relaxing"))
+SHARP_NAMES = ("inside", "active_set", "edges", "told", "relaxing", "next_step")
+SHARP = tuple(f"tests/safety/test_{name}.py" for name in SHARP_NAMES)
 """These run first, by themselves: number by number against definitions, in seconds."""
-TESTS = ("tests/safety", "tests/invariants")
+TESTS = ("tests/safety", "tests/invariants", "tests/kernel/test_room.py")
 LEFT_OUT = ("tests/safety/test_vectors.py", "tests/safety/test_builds.py", "tests/safety/test_supervisor.py")
 """Recorded answers and comparisons of builds notice every change of a bit and say nothing about a law; the supervisor's
 tests call no kernel."""

@@ -224,7 +224,9 @@ def around(w, expected):
     return np.where(wide, low, w.low), np.where(wide, high, w.high), wide.any()
 
 
-@pytest.mark.parametrize(("kind", "n"), [("still", 7), ("everything", 8), ("crowd", 8), ("everything", 3)])
+@pytest.mark.parametrize(
+    ("kind", "n"), [("still", 7), ("everything", 8), ("crowd", 8), ("everything", 3), ("still", 1)]
+)
 def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
     """Around the nominal control, and where rows bound the last control around that one; else in the whole box."""
     rng, seen = np.random.default_rng(17), [0, 0, 0, 0]
