@@ -12,6 +12,7 @@ from .surroundings import Thing
 
 POSITION, MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 5, 24, 25, 26, 27, 28, 4, 2, 0, 20
 STATUS_STOPPED, OVERFLOW, BAD_SCENE, INFEASIBLE, JERK = 3, 16, 256, 128, 2048
+NO_GRADIENT, UNAVOIDABLE = 32, 1024
 VELOCITY, ACCELERATION, JERKED, AT_LIMIT = range(4)
 
 
@@ -122,6 +123,19 @@ def test_a_thing_is_believed_up_to_its_edges(name):
         _, got = answer(chain(), [ball(), ball(**{f"c{column}": value})])
         assert got.flags & BAD_SCENE, value
         assert got.status == STATUS_STOPPED
+
+
+@pytest.mark.parametrize(("frame", "still", "told"), [(1, True, 0), (1, False, UNAVOIDABLE), (2, True, UNAVOIDABLE),
+                                                     (2, False, UNAVOIDABLE)])  # fmt: skip
+def test_only_the_mount_may_stand_at_what_no_joint_can_move(frame, still, told):
+    """A ball on the axes of all joints: what is near stays near. Deeper than the sampling margin, the robot stops."""
+    spheres = [[0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.0]]
+    model = chain(spheres=spheres, frames=(frame,), joint_offset=np.zeros(6), sampling=1e-3)
+    for deep, more in ((0.5e-3, 0), (1.5e-3, NO_GRADIENT)):
+        near = ball((0.0, 0.071 - deep, 0.1), **{"c1": 2.0 * still})
+        _, got = answer(model, [near])
+        assert got.flags & (NO_GRADIENT | UNAVOIDABLE) == (told | more if told else 0)
+        assert (got.status == STATUS_STOPPED) == bool(told and more)
 
 
 @pytest.mark.parametrize("column", [*range(5, 26)])
