@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 from dualbrain.dashboard.map_chart import map_section
 from dualbrain.dashboard.numbers import key_numbers
 from dualbrain.dashboard.page import Html, element, table
-from dualbrain.dashboard.plots import envelope
+from dualbrain.dashboard.plots import envelope, strip_chart
 from dualbrain.dashboard.report import Snapshot, render_report, write_report
+from dualbrain.embodiment.robot import RobotState
 from dualbrain.memory.map import MemoryMap
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
 from dualbrain.runtime.trace import Trace
 from dualbrain.safety.barriers import BARRIERS
+
+from .conftest import Answer
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
 EMPTY = Trace(7)
@@ -207,3 +210,34 @@ def test_the_memory_map_is_drawn_when_there_is_one():
     assert "61%" in page
     few = MemoryMap(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
     assert "Too few memories" in map_section(few, "a")
+
+
+@pytest.mark.parametrize(
+    ("n", "width", "told"),
+    [
+        (2, 3, ("Driving", "m/s, forward", "Turning", "rad/s, to the left")),
+        (9, 10, ("Driving", "m/s, forward", "Turning", "Joint speed")),
+        (6, 6, ("Joint speed", "rad/s, Euclidean norm")),
+    ],
+)
+def test_speeds_are_told_by_what_moves_each_in_its_unit(
+    n: int, width: int, told: tuple[str, ...], episode: Episode
+) -> None:
+    run = Trace(n, width)
+    for k in range(20):
+        u = np.full(n, -0.1 * k)
+        run.append(
+            k * 0.02, RobotState(k * 0.02, k, np.zeros(width), u, 0.0, (0.0, 0.0)), u, Answer(u, 0, 0.0, 0.0, 0.0, 0.3),
+            action=0, phase="drive",
+        )  # fmt: skip
+    drawn = html.unescape(str(strip_chart(episode, run)))
+    assert [word for word in ("Driving", "Turning", "Joint speed") if word in drawn] == [
+        word for word in told if word[0].isupper()
+    ]
+    assert all(word in drawn for word in told)
+
+
+def test_a_run_without_words_says_what_was_run(episode: Episode, trace: Trace) -> None:
+    page = _Page(render_report(msgspec.structs.replace(episode, instruction=""), trace, ()))
+    assert "a given contract" in page.text
+    assert "“”" not in page.text

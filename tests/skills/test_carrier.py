@@ -101,6 +101,21 @@ def test_the_gate_asks_for_reach_only_where_the_robot_stands():
     assert any(rule(contract(drive_to("bench"), PLACE)) is not None for rule in rules), "a place needs a full hand"
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_lies_out_of_reach_from_where_it_will_stand_is_refused_before_it_sets_off(seed):
+    scene = as_specified(open_scene(f"workroom:{seed}", BODY.name))
+    rules = scene_rules(scene, limb_at_home(BODY.name, scene))
+    refused = [why for rule in rules if (why := rule(contract(drive_to("shelf"), GRASP, PLACE))) is not None]
+    assert refused[0].pointer == "/action_sequence/1/params/object"
+    assert refused[0].allowed == {"reached from": ["bench"]}
+    assert "drive_to bench" in refused[0].hint
+    assert all(rule(contract(drive_to("shelf"), drive_to("bench"), GRASP, PLACE)) is None for rule in rules)
+    home = ("home", {"speed": 0.2})
+    away = contract(drive_to("bench"), GRASP, home, drive_to("shelf"), PLACE)
+    refused = [why for rule in rules if (why := rule(away)) is not None]
+    assert [why.pointer for why in refused] == ["/action_sequence/4/params/destination"]
+
+
 def test_it_is_not_driven_into_a_container():
     scene = as_specified(open_scene("workroom:0", BODY.name))
     rules = scene_rules(scene, limb_at_home(BODY.name, scene))

@@ -71,7 +71,7 @@ def _bounds(body: Body) -> Table:
 
 
 def _cover(report: Report) -> Table:
-    table = Table("part", "group", "spheres", "covered", "stands off: mean", "worst [mm]", box=None, pad_edge=False)
+    table = Table("part", "group", "spheres", "covered", "stands off [mm]: mean", "worst", box=None, pad_edge=False)
     for link in report.links:
         table.add_row(
             link.link, link.group, str(link.spheres), f"{link.coverage:.2%}", f"{link.mean * 1e3:.1f}",

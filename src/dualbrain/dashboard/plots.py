@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from io import StringIO
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,25 +66,29 @@ def envelope(t: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
 
 
 def strip_chart(episode: Episode, trace: Trace) -> Html:
-    """Four strips over one time axis [s]; ticks with intervention are shaded through all of them."""
+    """Four strips or more over one time axis [s]; ticks with intervention are shaded through all of them."""
     from matplotlib import rc_context  # noqa: PLC0415  (heavy imports are lazy)
     from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
     with rc_context(STYLE):
-        figure = Figure(figsize=(10.4, 7.7))
-        rows = figure.subplots(4, 1, sharex=True, height_ratios=(1.0, 2.2, 1.5, 1.7))
-        figure.subplots_adjust(left=0.062, right=0.992, top=0.962, bottom=0.062, hspace=0.42)
+        speeds = _speeds(trace)
+        height = 7.7 + 1.7 * (len(speeds) - 1)
+        figure = Figure(figsize=(10.4, height))
+        rows = figure.subplots(3 + len(speeds), 1, sharex=True, height_ratios=(1.0, 2.2, 1.5, *[1.7] * len(speeds)))
+        rim = {"top": 1.0 - 0.038 * 7.7 / height, "bottom": 0.062 * 7.7 / height}
+        figure.subplots_adjust(left=0.062, right=0.992, hspace=0.42, **rim)
         rows[0].set_xlim(_limits(trace))
         _draw_contract(rows[0], episode, trace)
         _draw_clearance(rows[1], trace)
         _draw_intervention(rows[2], trace)
-        _draw_speed(rows[3], trace)
+        for axes, speed in zip(rows[3:], speeds, strict=True):
+            _draw_speed(axes, trace, speed)
         for axes in rows:
-            axes.tick_params(length=3, labelbottom=axes is rows[3])
+            axes.tick_params(length=3, labelbottom=axes is rows[-1])
         rows[0].tick_params(length=0)
-        rows[3].xaxis.set_major_locator(MaxNLocator(12, steps=[1, 2, 5, 10]))
-        rows[3].set_xlabel("time [s]", loc="right", labelpad=2)
+        rows[-1].xaxis.set_major_locator(MaxNLocator(12, steps=[1, 2, 5, 10]))
+        rows[-1].set_xlabel("time [s]", loc="right", labelpad=2)
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     return themed(out.getvalue(), "contract, clearance, intervention and speed over time")
@@ -225,14 +229,37 @@ def _draw_intervention(axes: Axes, trace: Trace) -> None:
         axes.text(0.5, 0.45, said, transform=axes.transAxes, ha="center", color=MUTED)
 
 
-def _draw_speed(axes: Axes, trace: Trace) -> None:
-    _title(axes, "Joint speed", "rad/s, Euclidean norm", ("nominal |u_nom|", MUTED), ("written |u|", BLUE))
+class Speed(NamedTuple):
+    """One strip of speeds: these `columns` of u; one of them with its sign, of several the norm."""
+
+    title: str
+    unit: str
+    columns: slice
+
+
+JOINTS = Speed("Joint speed", "rad/s, Euclidean norm", slice(None))
+DRIVES = (Speed("Driving", "m/s, forward", slice(0, 1)), Speed("Turning", "rad/s, to the left", slice(1, 2)))
+
+
+def _speeds(trace: Trace) -> tuple[Speed, ...]:
+    """Of an arm the speed of its joints; of a base, whose configuration has one number more than u, v and ω."""
+    if trace.width == trace.n:
+        return (JOINTS,)
+    return (*DRIVES, JOINTS._replace(columns=slice(2, None))) if trace.n > len(DRIVES) else DRIVES
+
+
+def _draw_speed(axes: Axes, trace: Trace, speed: Speed) -> None:
+    driven = speed.columns.stop is not None
+    keys = (("nominal", MUTED), ("written", BLUE)) if driven else (("nominal |u_nom|", MUTED), ("written |u|", BLUE))
+    _title(axes, speed.title, speed.unit, *keys)
     _shade(axes, trace)
     axes.grid(axis="y")
     for name, colour, dash in (("u_nom", MUTED, (0, (3, 2))), ("u", BLUE, "solid")):
-        t, y = envelope(trace["t"], np.linalg.norm(trace[name], axis=1))
+        part = trace[name][:, speed.columns]
+        t, y = envelope(trace["t"], part[:, 0] if driven else np.linalg.norm(part, axis=1))
         axes.plot(t, y, color=colour, linewidth=1.3, linestyle=dash)
-    axes.set_ylim(0, None)
+    if not driven:
+        axes.set_ylim(0, None)
 
 
 def themed(svg: str, label: str) -> Html:

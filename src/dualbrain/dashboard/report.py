@@ -31,6 +31,7 @@ TONES = {
 }  # fmt: skip
 STAGES = ("syntax", "authorization", "envelope")
 PICTURE_WIDTH = 480
+GIVEN = "a given contract"
 LONGEST_TEXT = 4000
 
 
@@ -69,7 +70,7 @@ def render_report(
         _events(trace.events),
         _origin(episode),
     )
-    return document(f"{episode.outcome.kind.replace('_', ' ')}: {episode.instruction}"[:120], *parts)
+    return document(f"{episode.outcome.kind.replace('_', ' ')}: {episode.instruction or GIVEN}"[:120], *parts)
 
 
 def _header(episode: Episode) -> Html:
@@ -88,7 +89,7 @@ def _header(episode: Episode) -> Html:
     return element(
         "header",
         element("p", f"{episode.robot} · {episode.started} · run {episode.id}", class_="overline"),
-        element("h1", f"“{episode.instruction}”"),
+        element("h1", f"“{episode.instruction}”" if episode.instruction else GIVEN),
         element("div", *words, element("span", outcome.reason), class_="verdict"),
     )
 

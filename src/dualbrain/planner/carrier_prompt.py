@@ -22,8 +22,8 @@ Skills (numbers in SI units, all parameters must be given):
 
 Rules:
 - To go, drive, move, come or bring yourself somewhere: drive_to with the name of that place, and nothing else.
-- To put, move, bring or drop a thing somewhere: drive_to the place that the scene gives after "at" in the line of \
-that thing, turn_to the heading that the scene gives for that place, then grasp the thing, then place it.
+- To put, move, bring or drop a thing somewhere, always four skills: drive_to the place that stands after "at" in the \
+line of that thing, turn_to the heading of that place, grasp the thing, place it. So also after a drive_to elsewhere.
 - Several things are asked for: do each of them, in the order asked for. Before a drive_to that comes after a grasp or \
 a place: home.
 - Use only names that are in the scene. People use loose words: "the green block" is green_cube, a "dish" is a bowl.
@@ -72,7 +72,7 @@ PUTTING = WorkedExample(
 )
 GOING_FIRST = WorkedExample(
     _scene("brown_jar", -1.57, axis="across"),
-    "drive to the kitchen and afterwards move the brown jar to the tray",
+    "go to the kitchen, then put the brown jar on the tray",
     (_drive("kitchen"), _drive("counter"), _turn(-1.57), grasp("brown_jar", finger_axis="across"), place("white_tray")),
 )
 PUTTING_FIRST = WorkedExample(

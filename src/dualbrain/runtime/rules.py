@@ -7,12 +7,15 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.embodiment.body import Body
 from dualbrain.records import Scene, SceneObject
 from dualbrain.skills.carrier import Carrier
 from dualbrain.skills.chassis import Chassis
+from dualbrain.skills.drive_to import NEAR
 from dualbrain.skills.floor_path import clearance
 from dualbrain.skills.geometry import APPROACH_LEAN, levelness, width
 from dualbrain.skills.grasp_pose import grasp_goal, station
@@ -23,6 +26,8 @@ LEVEL = 0.7
 """The fingers close along an axis of a thing only if it is about level: the least length of its horizontal part."""
 LOWEST_CLEARANCE = 0.03
 """The least clearance that the vocabulary knows [m]: where the search for an allowed one ends."""
+NAMED = {"grasp": "object", "place": "destination", "push": "object", "move_to": "target"}
+"""Which parameter of a skill says what the arm goes to."""
 FINGER_ROOM = 0.010
 """The fingers must be open at least this much wider than the thing they go around [m]."""
 
@@ -37,6 +42,7 @@ def scene_rules(scene: Scene, limb: Limb | Chassis | Carrier) -> tuple[Rule, ...
             lambda contract: _on_the_map(contract, scene, limb.chassis),
             lambda contract: _hand_order(contract, limb.arm),
             lambda contract: _fits_hand(contract, scene, limb),
+            lambda contract: _at_hand(contract, scene, limb),
         )
     if isinstance(limb, Chassis):
         return (_decline_alone, lambda contract: _on_the_map(contract, scene, limb))
@@ -144,6 +150,39 @@ def _fits_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected |
         return None
     carrier.work(driving=False)
     return _grasps_fit(msgspec.structs.replace(contract, action_sequence=before), carrier.arm.senses.scene, carrier.arm)
+
+
+def _at_hand(contract: Contract, scene: Scene, carrier: Carrier) -> Rejected | None:
+    """After a drive to a place, what the arm is to work at lies within its reach there, for any heading."""
+    places = {place.name: np.array(place.position[:2]) for place in scene.places}
+    far = _span(carrier.arm.body) + float(np.hypot(*carrier.arm.body.joints[0].translation[:2])) + NEAR
+    stands: str | None = None
+    for index, action in enumerate(contract.action_sequence):
+        if action.skill == "drive_to":
+            stands = str(action.params["place"])
+        elif action.skill == "drive_to_pose":
+            stands = None
+        elif stands in places and (named := NAMED.get(action.skill)):
+            spot = _where(scene, str(action.params[named]))
+            if np.linalg.norm(spot - places[stands]) > far:
+                near = [name for name, at in places.items() if np.linalg.norm(spot - at) <= far]
+                hint = f"out of reach from {stands}: drive_to {' or '.join(near) or 'it'} before that"
+                pointer = f"/action_sequence/{index}/params/{named}"
+                return Rejected("envelope", pointer, action.params[named], {"reached from": near}, hint)
+    return None
+
+
+def _span(arm: Body) -> float:
+    """No posture brings the tool farther from the first axis than this [m]: all parts of the chain in one line."""
+    hand = next(link for link in arm.links if link.name == arm.tool.link)
+    parts = [*(joint.translation for joint in arm.joints[1:]), hand.translation, arm.tool.translation]
+    return float(sum(np.linalg.norm(part) for part in parts))
+
+
+def _where(scene: Scene, name: str) -> NDArray[np.float64]:
+    """Where a thing or a place lies on the floor (2,) [m]."""
+    spot = next((place.position for place in scene.places if place.name == name), None)
+    return np.array((spot or scene.find(name).pose.position)[:2])
 
 
 def _station_fits(limb: Limb, thing: SceneObject, params: Mapping[str, Any], pointer: str) -> Rejected | None:

@@ -78,7 +78,8 @@ def test_two_fingers_that_slide_are_told_however_they_are_counted(tmp_path, shap
     ("shape", "why"),
     [
         ({"kind": "revolute"}, "not two that slide"), ({"fingers": 1}, "1 joints of fingers"),
-        ({"fingers": 3}, "3 joints of fingers"), ({"fingers": 0}, "no fingers"), ({"gap": 0.03}, "30 mm apart"),
+        ({"fingers": 3}, "3 joints of fingers"), ({"fingers": 0}, "no fingers that move"),
+        ({"gap": 0.03}, "30 mm apart"),
         ({"axes": ("0 1 0", "1 0 0")}, "do not slide apart"), ({"axes": ("0 0 1", "0 0 -1")}, "apart at the shut end"),
     ],
 )  # fmt: skip

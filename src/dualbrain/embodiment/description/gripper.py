@@ -96,7 +96,7 @@ def _fingers(tree: Tree, chain: Chain) -> tuple[_Finger, _Finger]:
     hanging = [joint for joint in tree.joints if joint.kind in MOVING and joint.name not in driven]
     movers = [joint for joint in hanging if riders[joint.child].swept and riders[joint.child].frame == n]
     if not movers:
-        raise _UntoldError("no fingers")
+        raise _UntoldError("no fingers that move")
     if any(riders[joint.parent].swept for joint in movers):
         raise _UntoldError("fingers with joints of their own")
     if len(movers) != 2 or any(joint.kind != "prismatic" for joint in movers):

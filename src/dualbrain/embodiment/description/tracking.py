@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dualbrain.embodiment.body import Tracking
 
-UNKNOWN = "not identified: run `dualbrain robot identify`, or give FilterConfig(tracking_error=...)"
+UNKNOWN = (
+    "not identified: measure how its drive follows and edit `tracking` in body.json, or give "
+    "FilterConfig(tracking_error=...)"
+)
 
 
 def not_identified() -> Tracking:
