@@ -208,6 +208,17 @@ def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, told):
             assert bool(got.flags & INFEASIBLE) == told
 
 
+@pytest.mark.parametrize("outside", [0.0, 0.02, 0.05, 0.1])
+def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(outside):
+    """At alpha d where that is slower; what the arm may not follow is added, so that it comes back in any case."""
+    model = chain(tracking=0.01, a_max=np.full(2, 1e4))
+    for side in (1.0, -1.0):
+        made, got = answer(model, q=side * (2.0 + outside), u_nom=np.full(2, 9.0 * side))
+        back = min(4.0 * outside, 4.0 * 0.05) + 0.01
+        np.testing.assert_allclose(got.u, -side * back, atol=1e-12)
+        np.testing.assert_allclose(made.box()[side > 0.0], -side * back, atol=1e-12)
+
+
 def test_no_room_for_jerk_is_told_and_only_then():
     """Braking at full acceleration, a limit ahead: the joint limit wins, and the answer says so."""
     model = chain(j_max=np.full(2, 1000.0))
