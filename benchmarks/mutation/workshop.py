@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
@@ -113,6 +114,8 @@ class Workshop:
         python = path.suffix == ".py"
         if python and not self._compiles(mutant.text):
             return "does not compile"
+        if python and meaning(mutant.text) == meaning(self._sources[mutant.file]):
+            return "same object code"
         if self._call([self._tool("ninja"), "-C", str(self.folder / "build"), *self._libraries()]).returncode:
             return "does not compile"
         if not python and self._objects() == self._original:
@@ -166,6 +169,17 @@ class Workshop:
         return subprocess.run(
             command, cwd=self.folder, env={**os.environ, **more}, capture_output=True, timeout=limit, check=check
         )
+
+
+def meaning(text: str) -> str:
+    """A Python source without what nobody evaluates: the types of a function's parameters and of what it returns."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+    return ast.dump(tree)
 
 
 def judge(code: int, rows: list[dict]) -> Verdict:

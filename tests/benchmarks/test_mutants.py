@@ -10,7 +10,7 @@ import pytest
 from mutation.draw import apply, files, mutants, sites
 from mutation.sites import KINDS
 from mutation.tokens import tokens
-from mutation.workshop import judge
+from mutation.workshop import judge, meaning
 
 ROOT = Path(__file__).resolve().parents[2]
 C = """/* a + b */
@@ -98,3 +98,10 @@ def test_verdicts():
     assert (judge(-signal.SIGSEGV, rows).by, judge(-signal.SIGSEGV, rows).test) == ("crash", "b")
     assert judge(-signal.SIGXCPU, rows).by == "timeout"
     assert (judge(4, []).by, judge(4, []).test) == ("error", "collection")
+
+
+def test_a_type_that_nobody_evaluates_is_no_mistake():
+    text = "def f(x: int) -> list[int]:\n    return x[1]\n"
+    assert meaning(text) == meaning(text.replace("list[int]", "list[0]")) == meaning(text.replace("x: int", "x: str"))
+    assert meaning(text) != meaning(text.replace("x[1]", "x[0]"))
+    assert meaning("class A:\n    x: int\n") != meaning("class A:\n    x: str\n"), "classes may be made from those"
