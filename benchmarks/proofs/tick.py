@@ -105,9 +105,10 @@ def _account(row: Row) -> list[str]:
     lines += table(head, ((name, *_milliseconds(row[name])) for name in ("interval", "work", "latency")))
     lines += [
         "Interval: from one joint state to the next, as they are taken in. Work: from a state to the end of its tick. "
-        "Latency: from a state to the command that answers it. What the work is made of:", "",
+        "Latency: from a state to the command that answers it. What the work is made of; own: the longest without what "
+        "other threads and processes did meanwhile:", "",
     ]  # fmt: skip
-    head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest")
+    head = ("part of a tick", "what it is", "ticks that had it", "mean", "median", "99 %", "99.9 %", "longest", "own")
     return lines + table(head, _parts(row["parts"], loops)) + _meanwhile(row)
 
 
@@ -116,7 +117,8 @@ def _parts(parts: dict[str, Any], loops: int):
         part = parts[name]
         if part["ticks"] and name != "wait":
             times = (part["mean"], *part["quantiles"])
-            yield (name, what, f"{part['ticks'] / loops:.1%}", *(f"{1e6 * value:.0f} µs" for value in times))
+            own = f"{1e6 * part['cpu'][3]:.0f} µs" if "cpu" in part else "–"
+            yield (name, what, f"{part['ticks'] / loops:.1%}", *(f"{1e6 * value:.0f} µs" for value in times), own)
 
 
 def _meanwhile(row: Row) -> list[str]:

@@ -37,7 +37,9 @@ def test_what_is_beyond_the_last_bin_is_told_by_the_longest():
 
 def test_each_part_of_a_tick_counts_once_and_the_parts_are_the_whole(monkeypatch):
     clock = iter(np.arange(0.0, 1.0, 1e-4).tolist())
+    own = iter(np.arange(0.0, 1.0, 2e-5).tolist())
     monkeypatch.setattr(laps_module, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(laps_module, "thread_time", lambda: next(own))
     laps = Laps()
     laps.lap("door")
     laps.ended()
@@ -51,6 +53,7 @@ def test_each_part_of_a_tick_counts_once_and_the_parts_are_the_whole(monkeypatch
     assert ticks == [3, 3, 0, 0], "what came before the first tick's end is nobody's"
     assert found["wait"].mean == pytest.approx(2e-4)
     assert found["filter"].mean == pytest.approx(1e-4)
+    assert found["wait"].cpu[3] == pytest.approx(4e-5), "what other threads did meanwhile is not its own"
     assert sum(part.mean for part in found.values()) == pytest.approx(5e-4)
 
 
