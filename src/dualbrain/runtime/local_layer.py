@@ -19,6 +19,7 @@ from dualbrain.contracts.contract import Action, Contract
 from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
+from dualbrain.runtime.leftover import Leftover
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.scene_watch import SceneWatch, believed
 from dualbrain.runtime.steady import Steady
@@ -132,6 +133,7 @@ class LocalLayer:
         self._roles: dict[str, str | None] = {}
         self._phase = ""
         self._touches: tuple[Touch, ...] = ()
+        self._leftover = Leftover(safety)
         self._holding: Holding | None = None
         self._ticks = 0
         self._skill = ""
@@ -194,11 +196,17 @@ class LocalLayer:
             self._rest("continue", IDLE)
 
     def _settle(self, kind: OutcomeClass) -> tuple[OutcomeClass, str]:
-        """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already."""
+        """Come to rest and end all permits; a fault on the way outranks every `kind` that is not a stop already.
+
+        What did not go well may have left the hand around a thing: contacts that there still are stay permitted.
+        """
         try:
             self.hold(self.config.settle, "settle")
+            touches = () if kind == "succeeded" else self._leftover.beside(self._touches)
+            self._leftover.keep(self._phase, touches, self.state, self.scene)
             self._touches = ()
-            self._permit(())
+            self._permit()
+            self._seize()
         except Exception as error:
             why = self._broken(error).reason
             return (kind, "") if kind in BROKEN_OFF else ("stopped", why)
@@ -348,7 +356,16 @@ class LocalLayer:
             return
         self.scene = self._steady.update(seen, self._unsteady())
         self.log.scene(self.scene)
+        if self._leftover.update(self.state, self.scene):
+            self._permit()
+        self._seize()
         self._observe()
+
+    def _seize(self) -> None:
+        """Fingers that were stopped while closing hold the thing as soon as both press on it."""
+        if self._leftover.closing_on and self.limb.catch(self._leftover.closing_on):
+            self.log.note(self.state.stamp, "phase", f"{self._leftover.closing_on} is held after a stop")
+            self._leftover.closing_on = ""
 
     def _senses(self) -> Senses:
         return Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q), self._waited)
@@ -369,14 +386,21 @@ class LocalLayer:
     def _enter(self, nominal: Nominal) -> None:
         """A new phase: its contact permits replace the old ones."""
         self._phase, self._touches = nominal.phase, nominal.touches
-        self._permit(nominal.touches)
+        self._permit()
         self.log.note(self.state.stamp, "phase", f"{self._skill}: {nominal.phase}")
         if self._phase_changed:
             self._phase_changed(
-                nominal.phase, {**self._roles, "held": nominal.holding.name if nominal.holding else None}
+                nominal.phase,
+                {
+                    **self._roles,
+                    "held": nominal.holding.name if nominal.holding else None,
+                    "left": self._leftover.around,
+                },
             )
 
-    def _permit(self, touches: tuple[Touch, ...]) -> None:
+    def _permit(self) -> None:
+        """The contacts of the phase, and those left over."""
+        touches = self._leftover.beside(self._touches)
         contacts = [Contact(touch.robot_part, touch.obstacle, touch.speed) for touch in touches]
         self.log.call(self.state.stamp, "permit", permits=contacts)
         self.safety.permit(contacts)
@@ -400,7 +424,7 @@ class LocalLayer:
         """Hand the perceived scene to the filter; what this action is about is known to φ."""
         held = self._holding.name if self._holding else None
         supports = {thing.name for thing in self.scene.objects if thing.role == "support"}
-        known = supports | {name for name in self._roles.values() if name} | self._on_map()
+        known = supports | {name for name in self._roles.values() if name} | self._leftover.names | self._on_map()
         obstacles, stamp = from_scene(self.scene, known=known, held=held), believed(self.scene)
         if self.scene.region:
             obstacles = (*obstacles, *traversable("the floor", self.scene.region), *self._ground)

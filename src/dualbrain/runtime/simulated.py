@@ -93,6 +93,8 @@ class SimulatedWorld:
         if target not in self.plant.names:  # a place is nothing that could be touched
             target = None
         moving = "carry" if held else "free"
+        if not held and phase not in ALLOWANCES and roles.get("left") in self.plant.names:
+            target, moving = roles.get("left"), "retreat"  # a stop has left the hand around it
         allowed = "lift" if phase == "rise" and held else ALLOWANCES.get(phase, moving)
         self.monitor.allow(target, held, roles.get("destination"), allowed)
 

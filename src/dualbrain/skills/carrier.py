@@ -169,6 +169,10 @@ class Carrier:
         """One tick of standing still."""
         return self.whole(self._at_work.rest(phase))
 
+    def catch(self, name: str) -> bool:
+        """Whether the hand holds `name` from now on, because its fingers press on it."""
+        return self.arm.catch(name)
+
     def reconsider(self, u: Array) -> Array:
         """u_nom (n,) once more, because what φ knows changed since this tick's was made."""
         part = self._part

@@ -144,6 +144,11 @@ class Chassis:
         """One tick of standing still."""
         return self._nominal(np.zeros(self.body.n), phase)
 
+    def catch(self, name: str) -> bool:
+        """A base has no hand."""
+        del name
+        return False
+
     def reconsider(self, u: Array) -> Array:
         """u_nom (n,) once more, because what φ knows changed since this tick's was made."""
         self._u_nom = self._before

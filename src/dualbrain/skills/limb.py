@@ -18,7 +18,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
 from dualbrain.skills.foresight import LEAVING, Foresight, Goal, View
-from dualbrain.skills.geometry import top
+from dualbrain.skills.geometry import bottom, top
 from dualbrain.skills.inverse_kinematics import BRIEF, InverseKinematics
 from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
@@ -236,6 +236,14 @@ class Limb:
     def take_hold(self, thing: SceneObject, below_tool: float) -> None:
         """Remember that `thing` is between the fingers, its lowest point `below_tool` [m] under the tool."""
         self.holding = Holding(thing.name, below_tool)
+
+    def catch(self, name: str) -> bool:
+        """Take hold of `name` if nothing is held and both fingers press: they were stopped while closing on it."""
+        thing = next((thing for thing in self.senses.scene.objects if thing.name == name), None)
+        if thing is None or self.holding or not self.grips():
+            return False
+        self.take_hold(thing, float(self.senses.tool.position[2]) - bottom(thing))
+        return True
 
     @property
     def below_tool(self) -> float:

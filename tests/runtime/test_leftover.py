@@ -1,0 +1,142 @@
+"""A hand that was stopped around a thing: what it holds is held, what it touches may be left, nothing fights it."""
+
+import numpy as np
+import pytest
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.robot import at_home
+from dualbrain.records import Box, Pose, Scene, SceneObject
+from dualbrain.runtime.leftover import CLEAR, Leftover
+from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.log import FlightLog
+from dualbrain.runtime.simulated import SimulatedWorld
+from dualbrain.runtime.trace import Trace
+from dualbrain.safety.condition import Condition
+from dualbrain.safety.filter import SafetyFilter
+from dualbrain.skills.skill import Touch
+from dualbrain.world.catalogue import open_scene
+from dualbrain.world.perception import Noise, Perception
+from dualbrain.world.plant import Plant
+
+BODY = load_body("panda")
+GRASP = {
+    "object": "red_cube", "speed": 0.4, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
+    "wait": "none", "force": 20.0,
+}  # fmt: skip
+PLACE = {"destination": "blue_bowl", "speed": 0.4, "clearance": 0.1, "route": "direct", "wait": "none"}
+
+
+class Stopped:
+    """A grasp whose commander is lost for a moment, as soon as `strikes(layer)`; then the next contract."""
+
+    def __init__(self, strikes, flag=Condition.LINK_LOST):
+        spec = open_scene("bare:0")
+        self.plant, self.until, self.strikes, self.flag = Plant(spec, BODY), None, strikes, flag
+        self.world = SimulatedWorld(self.plant, Perception(spec, Noise(), np.random.default_rng([0, 1])))
+        self.log = FlightLog(Trace(BODY.n))
+        self.layer = LocalLayer(
+            BODY, self.plant, self.world, SafetyFilter(BODY), self.log, LayerConfig(),
+            phase_changed=self.world.allow, clock=lambda: self.plant.now, asked=self.asked,
+        )  # fmt: skip
+        self.outcome = self.run("grasp", GRASP)
+
+    def asked(self):
+        if self.until is None and self.strikes(self.layer):
+            self.until = self.plant.now + 0.1
+        return int(self.flag) if self.until is not None and self.plant.now < self.until else 0
+
+    def run(self, skill, params):
+        return self.layer.run(Contract("c-1", Context("panda", ""), (Action(skill, params),)))
+
+    def unharmed(self):
+        return self.world.judgement().violations == ()
+
+
+def phase(layer):
+    return layer.log.trace.events[-1].text if layer.log.trace.events else ""
+
+
+def closing(layer):
+    """The fingers have begun to close, and touch nothing yet."""
+    return phase(layer) == "grasp: close" and layer.state.opening < 0.037
+
+
+def around(layer):
+    """The open fingers are around the cube: the last centimetre of the way down."""
+    cube = layer.scene.find("red_cube").pose.position
+    return phase(layer) == "grasp: descend" and layer.limb.senses.tool.position[2] < cube[2] + 0.018
+
+
+def test_a_thing_that_the_fingers_were_stopped_on_is_held_and_can_be_put_down():
+    story = Stopped(closing)
+    assert story.outcome.kind == "stopped"
+    assert story.layer.limb.holding is not None, "it is between the fingers, and they press on it"
+    assert story.layer.limb.holding.name == "red_cube"
+    then = story.run("place", PLACE)
+    assert (then.kind, then.reason) == ("succeeded", "red_cube is at blue_bowl")
+    assert then.delta_peak < 0.02
+    assert story.unharmed()
+
+
+def test_open_fingers_that_were_stopped_around_a_thing_get_away_from_it():
+    story = Stopped(around)
+    assert story.outcome.kind == "stopped"
+    assert story.layer.limb.holding is None
+    told, permit = [], story.layer.safety.permit
+    story.layer.safety.permit = lambda contacts: (
+        told.append({(contact.robot_part, contact.obstacle) for contact in contacts}) or permit(contacts)
+    )
+    then = story.run("home", {"speed": 0.3})
+    assert ("fingers", "red_cube") in told[0], "the next contract has what is still needed"
+    assert ("fingers", "red_cube") not in told[-1], "until it is clear"
+    assert (then.kind, then.reason) == ("succeeded", "at home")
+    assert then.delta_peak < 0.02
+    assert story.unharmed()
+
+
+def seen(gap, part="fingers"):
+    """A cube beside the part of an arm at home, `gap` [m] from its nearest ball."""
+    safety = SafetyFilter(BODY)
+    state = at_home(BODY)
+    centres, radii, groups = safety.spheres(state.q, state.opening)
+    balls = [k for k, group in enumerate(groups) if group == part]
+    low = min(balls, key=lambda k: centres[k, 2] - radii[k])
+    x, y, z = centres[low]
+    cube = SceneObject("cube", "object", Box((0.02, 0.02, 0.02)), Pose((x, y, z - radii[low] - gap - 0.02)))
+    return safety, state, Scene("panda", 0.0, 1, (cube,))
+
+
+FINGERS, LOAD = Touch("fingers", "cube", 0.05), Touch("held", "table", 0.05)
+
+
+@pytest.mark.parametrize("gap", [-0.01, 0.0, 0.8 * CLEAR, 1.2 * CLEAR, 0.1])
+def test_contacts_stay_until_they_are_clear(gap):
+    safety, state, scene = seen(gap)
+    left = Leftover(safety)
+    left.keep("descend", (FINGERS, LOAD), state, scene)
+    assert (left.touches == (FINGERS, LOAD)) == (gap < CLEAR)
+    assert left.closing_on == ""
+    if gap >= CLEAR:
+        assert left.touches == ()
+
+
+def test_what_is_not_seen_is_not_known_to_be_clear():
+    safety, state, scene = seen(0.0)
+    left = Leftover(safety)
+    left.keep("close", (FINGERS,), state, scene)
+    assert left.closing_on == "cube"
+    assert not left.update(state, Scene("panda", 0.1, 2, ()))
+    assert left.names == {"cube"}
+    _, _, away = seen(0.1)
+    assert left.update(state, away)
+    assert (left.touches, left.closing_on) == ((), "")
+
+
+def test_a_pair_is_permitted_once():
+    safety, state, scene = seen(0.0)
+    left = Leftover(safety)
+    left.keep("close", (FINGERS,), state, scene)
+    wanted = (Touch("fingers", "cube", 0.02), Touch("hand", "cube", 0.02))
+    assert left.beside(wanted) == wanted
+    assert left.beside(()) == (FINGERS,)
