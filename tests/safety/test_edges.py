@@ -208,6 +208,14 @@ def test_a_joint_limit_is_missed_from_a_fiftieth_of_a_step_on(lack, told):
             assert bool(got.flags & INFEASIBLE) == told
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_way_out_asks_no_more_than_the_box_can_give(side):
+    """From 5 mm inside at rest: 20 mm/s are wanted, 5 mm/s can be had, and that is no contradiction."""
+    _, got = answer(chain(), [ball((0.7, 0.065 * side, 0.0))], u_nom=np.zeros(2))
+    assert (got.status, got.flags, got.relaxed) == (1, 0, 0)
+    np.testing.assert_allclose(got.u, -0.01 * side, atol=1e-7)
+
+
 @pytest.mark.parametrize("outside", [0.0, 0.02, 0.05, 0.1])
 def test_outside_its_range_a_joint_comes_back_no_faster_than_four_recoveries(outside):
     """At alpha d where that is slower; what the arm may not follow is added, so that it comes back in any case."""
