@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from dualbrain.runtime.faults import KINDS, MOMENTS, SOURCES
+from dualbrain.embodiment.body import load_body
+from dualbrain.runtime.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES
 from dualbrain.safety.order import Rung
 from proofs.figures import table
 from proofs.proof import Row
@@ -39,14 +40,14 @@ def matrices(rows: list[Row]) -> list[str]:
     lines: list[str] = []
     for body in _bodies(rows):
         cells = {tuple(row["fault"]): row for row in rows if row["body"] == body}
-        moments = [name for name in MOMENTS if any(fault[2] == name for fault in cells)]
+        moments = ON_WHEELS if load_body(body).mobile else MOMENTS
         columns = ("acknowledgement" if name == ACKNOWLEDGED else name for name in moments)
         head = ("fault", "declared", *columns, "reaction, worst", "at rest after, worst")
         lines += [f"### {body}", "", *table(head, (_line(cells, s, k, moments) for s in SOURCES for k in KINDS))]
     return lines
 
 
-def _line(cells: dict[tuple[str, ...], Row], source: str, kind: str, moments: list[str]) -> tuple[str, ...]:
+def _line(cells: dict[tuple[str, ...], Row], source: str, kind: str, moments: Sequence[str]) -> tuple[str, ...]:
     found = [cells.get((source, kind, moment)) for moment in moments]
     flown = [row for row in found if row is not None]
     declared = sorted({row["expected"] for row in flown}, key=lambda name: Rung[name])

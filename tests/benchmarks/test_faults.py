@@ -3,11 +3,11 @@
 from collections import Counter
 from itertools import product
 
-from proofs.faults import BODIES, Faults
+from proofs.faults import BODIES, ROOMS, Faults
 from proofs.faults_tables import matrices, summary
 from proofs.proof import Options
 
-from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, SOURCES
+from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, ON_WHEELS, SOURCES
 
 
 def row(body="panda", fault=("state", "off", "carrying"), **changes):
@@ -22,11 +22,14 @@ def row(body="panda", fault=("state", "off", "carrying"), **changes):
 def test_every_fault_at_every_moment_on_every_body_once_and_every_scene_alike(tmp_path):
     units = Faults().units(Options(tmp_path, "nobody"))
     abouts = [unit.about for unit in units]
-    assert {(one["body"], *one["fault"]) for one in abouts} == set(product(BODIES, SOURCES, KINDS, MOMENTS))
-    assert len(units) == 882 >= 500
-    assert set(Counter((*one["fault"][:2], one["body"], one["scene"]) for one in abouts).values()) == {2}
+    on_wheels = set(product(("base",), SOURCES, KINDS, ON_WHEELS))
+    assert {(one["body"], *one["fault"]) for one in abouts} == set(product(BODIES, SOURCES, KINDS, MOMENTS)) | on_wheels
+    assert len(units) == 882 + 98 >= 500
+    met = Counter((one["body"] == "base", *one["fault"][:2], one["body"], one["scene"]) for one in abouts)
+    assert {(key[0], count) for key, count in met.items()} == {(False, 2), (True, 1)}
+    assert {one["scene"] for one in abouts if one["body"] == "base"} == set(ROOMS)
     early = abouts[:60]
-    assert {one["body"] for one in early} == set(BODIES)
+    assert {one["body"] for one in early} == {*BODIES, "base"}
     assert {one["fault"][0] for one in early} == set(SOURCES)
 
 
@@ -55,3 +58,6 @@ def test_what_went_wrong_stands_out_and_is_counted():
     assert tables[0] == "### panda"
     assert "| state off | HOLD | – | … | STOP UNSAFE | STOP | … | … | 50 ms | 400 ms |" in tables
     assert "| state off | HOLD | … | … | … | NONE ≠ | … | … | – | – |" in tables
+    wheels = matrices([row("base", ("qp", "off", "closing"), expected="ESTOP", reached="ESTOP")])
+    assert wheels[2] == "| fault | declared | closing | acknowledgement | reaction, worst | at rest after, worst |"
+    assert "| qp off | ESTOP | ESTOP | … | 50 ms | 400 ms |" in wheels
