@@ -8,7 +8,7 @@ from dualbrain.embodiment.body import BODIES, load_body
 from dualbrain.linalg import matrix
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
-from dualbrain.world.surfaces import surfaces
+from dualbrain.world.surfaces import COLLIDING, surfaces
 
 
 @pytest.mark.parametrize("robot", BODIES)
@@ -40,3 +40,12 @@ def test_a_wheel_and_a_box_have_their_size_and_look_outward():
     housing = mujoco.mj_name2id(plant.model, mujoco.mjtObj.mjOBJ_GEOM, "robot/housing")
     size = max((np.ptp(patch.points, axis=0) for patch in drawn), key=np.prod)
     assert size == pytest.approx(2 * plant.model.geom_size[housing], abs=1e-6)
+
+
+def test_a_dressed_arm_does_not_hide_what_carries_it():
+    """Pictures leave out what collides where meshes lie over it (group 3); the platform has no meshes."""
+    plant = open_plant(open_scene("workroom:0", "mobile_panda"), load_body("mobile_panda"), visuals=True)
+    platform = plant.data.body(plant.parts()[plant.body.links[0].name]).id
+    shown = [i for i in range(plant.model.ngeom) if plant.model.geom_bodyid[i] == platform]
+    assert shown
+    assert all(plant.model.geom_group[i] != COLLIDING for i in shown)
