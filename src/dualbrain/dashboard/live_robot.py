@@ -90,7 +90,9 @@ class LiveRobot:
         for k, patch in enumerate(patches):
             points, faces = thinned(patch.points, patch.faces)
             colour = np.round(255 * (0.86 * np.array(patch.colour) + 0.02)).astype(np.uint8)
-            self._scene.add_mesh_simple(f"/robot/{link}/{k}", points, faces, color=colour, side="double")
+            self._scene.add_mesh_simple(
+                f"/robot/{link}/{k}", points, faces, color=colour, side="double", receive_shadow=False
+            )
 
     def _cover(self, body: Body, surfaces: Surfaces) -> None:
         for k, ball in enumerate(body.spheres):

@@ -82,7 +82,9 @@ class LiveScene:
         """The convex region in which a base may drive, as a floor."""
         corners = np.array([(x, y, FLOOR_BELOW) for x, y in region])
         faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
-        self._scene.add_mesh_simple("/scene/floor", corners, faces, color=BY_ROLE["support"], side="double")
+        self._scene.add_mesh_simple(
+            "/scene/floor", corners, faces, color=BY_ROLE["support"], side="double", cast_shadow=False
+        )
 
     def _mark(self, places: tuple[Place, ...]) -> None:
         """Where a base can be sent: a disc on the floor with the place's name."""
@@ -91,6 +93,7 @@ class LiveScene:
             disc = surface(Cylinder(PLACE_RADIUS, MARK))
             self._scene.add_mesh_simple(
                 path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + MARK),
+                cast_shadow=False,
             )  # fmt: skip
             self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
 
