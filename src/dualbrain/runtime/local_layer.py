@@ -19,6 +19,7 @@ from dualbrain.contracts.contract import Action, Contract
 from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.records import ActionResult, Outcome, OutcomeClass, Scene
+from dualbrain.runtime.actions import in_words, not_run, roles_of
 from dualbrain.runtime.leftover import Leftover
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.scene_watch import SceneWatch, believed
@@ -169,7 +170,7 @@ class LocalLayer:
         results: list[ActionResult] = []
         kind: OutcomeClass = "succeeded"
         for index, action in enumerate(contract.action_sequence):
-            result, kind = self._act(action, index) if kind == "succeeded" else (_not_run(action), kind)
+            result, kind = self._act(action, index) if kind == "succeeded" else (not_run(action), kind)
             results.append(result)
         kind, fault = self._settle(kind)
         if contract.action_sequence[0].skill == "decline" and kind == "succeeded":
@@ -216,8 +217,8 @@ class LocalLayer:
 
     def _act(self, action: Action, index: int) -> tuple[ActionResult, OutcomeClass]:
         started, first = self.state.stamp, len(self.log.trace)
-        self.log.note(started, "action", f"{action.skill} {_words(action)}", index=index)
-        self._roles = _roles(action, self.limb.holding)
+        self.log.note(started, "action", f"{action.skill} {in_words(action)}", index=index)
+        self._roles = roles_of(action, self.limb.holding)
         self._skill = action.skill
         try:
             self._observe()
@@ -434,21 +435,3 @@ class LocalLayer:
     def _on_map(self) -> set[str]:
         """A base knows its room: what stands there for good is known to φ."""
         return {thing.name for thing in self.scene.objects if self.body.mobile and thing.role == "obstacle"}
-
-
-def _roles(action: Action, holding: Holding | None) -> dict[str, str | None]:
-    """What the action is about: its target and its destination, by name."""
-    params = action.params
-    target = params.get("object") or params.get("target") or (holding.name if holding else None)
-    destination = params.get("destination")
-    return {"target": str(target) if target else None, "destination": str(destination) if destination else None}
-
-
-def _words(action: Action) -> str:
-    return ", ".join(
-        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in action.params.items()
-    )
-
-
-def _not_run(action: Action) -> ActionResult:
-    return ActionResult(action.skill, "not_run", "an earlier action did not succeed", 0.0, 0.0, 0.0)
