@@ -48,9 +48,10 @@ def run(
     instruction
         What to do, in words. May be empty with --contract.
     robot
-        Which body.
+        Which body: panda, fr3, ur5e, base or mobile_panda.
     scene
-        Which world: a number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile) or a scene file.
+        Which world: a number, FAMILY:SEED (bare, tabletop, tall, shelf, forearm, edge, fragile; of a base boxes,
+        crossing, aisles; of mobile_panda workroom, busy_workroom) or a scene file.
     planner
         Name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`, or one that comes with
         dualbrain), or the URL of an OpenAI-compatible server.
@@ -59,7 +60,8 @@ def run(
     contract
         Run this contract file instead of asking a planner; it passes the same gate.
     goal
-        What counts as success on truth, as "put THING in DESTINATION"; default: what the contract itself says.
+        What counts as success on truth, as "put THING in DESTINATION", in a room also "go to PLACE"; default: what the
+        contract itself says.
     site
         Site file (TOML): planes, keep-out boxes, tool, payload, caps, who may command; see docs/site.md.
     headless
