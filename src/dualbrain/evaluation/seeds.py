@@ -1,4 +1,7 @@
-"""Which seeds are for what: disjoint ranges, in this one place. Proofs and demonstrations use those below 10000."""
+"""Which seeds are for what: disjoint ranges, in this one place.
+
+Proofs and demonstrations use those below 10 000, lessons those from 50 000 (`adaptation/lessons/split.py`).
+"""
 
 from __future__ import annotations
 

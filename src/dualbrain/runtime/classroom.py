@@ -91,8 +91,9 @@ def speech(drives: bool, part: Part) -> Speech:
         raise WrongHash("wordings", got=got, expected=WORDINGS, path="wordings.toml")
     names = [name for name in kinds(mobile=drives) if name in book().kinds]
     found = {name: wordings(name, "held_out" if part == "test" else "train") for name in names}
-    sentences = {name: tuple(one.text for one in some) for name, some in found.items()}
-    sentences |= own_sentences("base" if drives else "arm", part)
+    sentences = own_sentences("base" if drives else "arm", part, names)
+    for name, some in found.items():
+        sentences[name] = (*(one.text for one in some), *sentences[name])
     return Speech(sentences, {name: kind_of(name).label for name in names}, spoken)
 
 

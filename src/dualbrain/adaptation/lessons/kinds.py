@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -22,8 +22,8 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One kind of errand: how often it is taught (`share`), and the skeleton of the contract that answers it.
 
     A step of the skeleton names its skill and the parameters that the sentence decides, each with the slot that says
-    it. `each` repeats the skeleton for every thing of a group. `target` says where things may go. `robots`, `teach` and
-    `held_out` are for kinds that the world's wordings do not have.
+    it. `each` repeats the skeleton for every thing of a group. `target` says where things may go. `teach` are sentences
+    beside the world's wordings; a kind that those do not have names its `robots`, and has sentences `held_out`, too.
     """
 
     share: float
@@ -71,7 +71,7 @@ def book() -> Book:
     return msgspec.toml.decode(data, type=Book)
 
 
-def own_sentences(robots: str, part: Part) -> dict[str, tuple[str, ...]]:
-    """The sentences of kinds that only this file has, by kind."""
-    kinds = {name: kind for name, kind in book().kinds.items() if kind.robots == robots}
+def own_sentences(robots: str, part: Part, spoken_of: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """The file's own sentences by kind: of kinds that only it has for `robots`, and of those `spoken_of` elsewhere."""
+    kinds = {name: kind for name, kind in book().kinds.items() if kind.robots == robots or name in spoken_of}
     return {name: kind.held_out if part == "test" else kind.teach for name, kind in kinds.items()}
