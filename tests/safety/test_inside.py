@@ -243,6 +243,8 @@ def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
             inside = np.all((answer.u >= low) & (answer.u <= high))
             found_there = np.all((answer.u >= w.trust_low) & (answer.u <= w.trust_high))
             assert found_there or not told, "an answer that lies elsewhere is looked for there"
+            well_inside = np.all((answer.u > low + 1e-6) & (answer.u < high - 1e-6))
+            assert told or not (narrowed and well_inside), "an answer that lies there is found there"
             if told and inside:
                 close(w.trust_low, low, "the trust box")
                 close(w.trust_high, high, "the trust box")
