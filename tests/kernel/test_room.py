@@ -1,4 +1,4 @@
-"""Bodies that fill the room there is: no loop over joints, parts, spheres or pairs runs on beyond the last one."""
+"""What fills the room there is: no loop over joints, parts, spheres, pairs or things runs on beyond the last one."""
 
 from .builds import GCC, build
 
@@ -13,3 +13,9 @@ def test_no_loop_runs_on_behind_the_last_joint(tmp_path):
     assert len(cases) > 20
     counts = [int(word) for word in build(tmp_path, "hostile", GCC, *CHECKED, *FILLED).lines("2000")[-1].split()]
     assert all(count > 0 for count in counts[1:])
+
+
+def test_no_loop_runs_on_behind_the_last_thing(tmp_path):
+    """Sixteen things fill the room, all near one link."""
+    rows = build(tmp_path, "crowded", GCC, *CHECKED, "-fsanitize=address", *FILLED, "-DDBK_MAX_OBSTACLES=16").lines()
+    assert int(rows[-1]) > 1000
