@@ -2,25 +2,33 @@
 
 from math import pi
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.knowledge.maps import Frame, MapPlace, Region, RoomMap, inside
+from dualbrain.knowledge.overlap import overlap
 from dualbrain.knowledge.reading import Reading, read
 from dualbrain.knowledge.refusal import Refused
 from dualbrain.knowledge.shipped import DATA
 from dualbrain.knowledge.structured import structure
-from dualbrain.records import Box
-from dualbrain.runtime.charted import barriers, with_places
+from dualbrain.runtime.charted import floor_of, with_floor, with_places
+from dualbrain.runtime.desk import as_specified
 from dualbrain.runtime.vocabulary import spec_names
 from dualbrain.safety.barriers.keep_out import trial_base
+from dualbrain.safety.barriers.traversable import traversable
 from dualbrain.safety.filter import SafetyFilter
+from dualbrain.safety.obstacles import from_scene
 from dualbrain.safety.result import Status
 from dualbrain.world.catalogue import open_scene
+from dualbrain.world.frozen import scene_hash
+from dualbrain.world.scene_spec import Chart, load_scene, save_scene
 
+WIDE = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
 
 
@@ -75,35 +83,67 @@ def test_places_know_what_lies_around_them() -> None:
     assert chart().places_around((-1.0, -1.0), "dock") == ("spot",)  # (2, 1) of the room
 
 
+def borders(corners, points):
+    """Signed distance [m] of points (..., 2) to the nearest edge of a convex polygon, positive inside."""
+    corners = np.array(corners)
+    along = np.roll(corners, -1, axis=0) - corners
+    inward = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    return np.min(np.sum(inward * (np.asarray(points)[..., None, :] - corners), axis=-1), axis=-1)
+
+
+def polygon(middle, radii, turn):
+    """A convex polygon, counter-clockwise, its corners on a circle."""
+    angles = turn + np.linspace(0.0, 2.0 * pi, len(radii), endpoint=False) + 0.3 * np.array(radii)
+    return tuple((middle[0] + 2.0 * float(np.cos(a)), middle[1] + 2.0 * float(np.sin(a))) for a in angles)
+
+
+middles = st.tuples(st.floats(-2.5, 2.5), st.floats(-2.5, 2.5))
+corners = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=8)
+
+
+@settings(max_examples=80, deadline=None)
+@given(middles, corners, st.floats(-pi, pi), st.integers(0, 99))
+def test_what_two_floors_share_is_on_both_and_leaves_nothing_out(middle, radii, turn, seed):
+    one, other = SQUARE, polygon(middle, radii, turn)
+    shared = overlap(one, other)
+    points = np.random.default_rng(seed).uniform(-4.0, 5.0, (400, 2))
+    both = np.minimum(borders(one, points), borders(other, points))
+    if not shared:
+        assert np.all(both < 0.02)
+        return
+    found = borders(shared, points)
+    assert np.all(both[found > 0.0] > -1e-9)
+    assert np.all(found[both > 0.02] > 0.0)
+    assert len(traversable("shared", shared)) == len(shared)  # still convex and counter-clockwise
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 3.95), st.floats(0.05, 2.95), st.sampled_from(["room", "dock"]))
-def test_barriers_hold_exactly_the_floor_that_the_map_gives(x: float, y: float, frame: str) -> None:
+def test_the_floor_is_exactly_what_the_map_gives(x: float, y: float, frame: str) -> None:
     one = chart()
     here = one.poses(frame)[0].position[:2]
-    found = barriers(one, frame, here)
+    found = floor_of(one, frame, here, WIDE)
     moved = chart(places=(MapPlace("x", (x, y, 0.0)),)).poses(frame)[0].position
-    walls = [wall for wall in found if wall.barrier == "traversable"]
-    assert len(walls) == len(SQUARE)
-    boxes = [wall for wall in found if wall.barrier == "keep_out"]
-    (box,) = boxes
-    assert isinstance(box.shape, Box)
-    ((_, corners),) = one.polygons(frame, "keep_out")
-    if inside(moved[:2], corners):  # the rectangle holds all of the polygon
-        w, _, _, z = box.pose.quaternion
-        yaw = 2.0 * np.arctan2(z, w)
-        offset = np.subtract(moved[:2], box.pose.position[:2])
-        local = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ offset
-        assert np.all(np.abs(local) <= np.array(box.shape.half_extents[:2]) + 1e-9)
+    assert borders(found.floor, moved[:2]) == pytest.approx(min(x, y, 4.0 - x, 3.0 - y))
+    (box,) = found.closed
+    ((_, hole),) = one.polygons(frame, "keep_out")
+    if inside(moved[:2], hole):  # the rectangle holds all of the polygon
+        offset = np.subtract(moved[:2], box.middle)
+        c, s = np.cos(box.yaw), np.sin(box.yaw)
+        assert np.all(np.abs(np.array([[c, s], [-s, c]]) @ offset) <= np.array(box.half) + 1e-9)
 
 
 def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
     """Driven blindly at every border, the filtered base stays inside the hall and out of what it must keep out of."""
     one, body = shipped_map(), trial_base()
+    spec = msgspec.structs.replace(open_scene("empty_room:0", "base"), things=(), places=(), region=WIDE)
+    scene = as_specified(msgspec.structs.replace(spec, chart=floor_of(one, "room", (3.0, 1.0), WIDE)))
+    closed = {thing.name for thing in scene.objects}
     rng = np.random.default_rng(3)
     for goal in ((5.3, 0.5), (2.0, 2.4), (3.55, 1.9), (-1.0, 3.0)):
         safety = SafetyFilter(body)
         q = np.array([3.0, 1.0, float(rng.uniform(-3, 3))])
-        safety.observe(barriers(one, "room", (3.0, 1.0)))
+        safety.observe((*from_scene(scene, known=closed, held=None), *traversable("floor", scene.region)))
         u, now = np.zeros(2), 0.0
         for _ in range(400):
             heading = np.arctan2(goal[1] - q[1], goal[0] - q[0]) - q[2]
@@ -120,10 +160,10 @@ def test_a_base_stays_on_the_floor_of_the_shipped_map() -> None:
 
 def test_a_base_outside_every_room_is_told() -> None:
     with pytest.raises(InvalidSetup, match="hall"):
-        barriers(chart(), "room", (9.0, 9.0))
-    assert barriers(chart(regions=()), "room", (9.0, 9.0)) == ()
+        floor_of(chart(), "room", (9.0, 9.0), WIDE)
+    assert floor_of(chart(regions=()), "room", (9.0, 9.0), WIDE) == Chart(WIDE)
     with pytest.raises(UnknownName, match="kitchen"):
-        barriers(chart(), "kitchen", (0.0, 0.0))
+        floor_of(chart(), "kitchen", (0.0, 0.0), WIDE)
 
 
 def test_places_of_the_shipped_map_enter_a_scene_as_names_that_contracts_may_use() -> None:
@@ -133,6 +173,58 @@ def test_places_of_the_shipped_map_enter_a_scene_as_names_that_contracts_may_use
     assert new == {"inspection_spot", "handover_spot", "reject_corner"}
     assert charted.place("table_front") == spec.place("table_front")  # what the scene measured wins
     assert new <= set(spec_names(charted).receptive)
+
+
+# --- a base in a room with a map ----------------------------------------------------------------------------------
+
+ROOM = open_scene("empty_room:0", "base")
+HALL = ((-0.8, -1.2), (3.0, -1.2), (3.4, 1.0), (-0.8, 1.0))
+
+
+def floor_map(*places: MapPlace, hall=HALL, **changed: object) -> RoomMap:
+    return chart(frame="start", frames=(), places=places, regions=(Region("hall", "traversable", hall),), **changed)
+
+
+@pytest.mark.parametrize("robot", ["base", "mobile_panda"])
+def test_a_base_gets_the_places_and_the_floor_of_its_map(robot, tmp_path):
+    upon = MapPlace("upon_the_shelf", (1.0, 0.0, 0.8))
+    known = with_floor(ROOM, floor_map(MapPlace("corner", (2.0, 0.5, 0.0)), upon), "start", load_body(robot))
+    assert known.place("corner").position == (2.0, 0.5, 0.0)
+    assert "upon_the_shelf" not in spec_names(known).receptive  # no base stands up there
+    assert {place.name for place in ROOM.places} < set(spec_names(known).receptive)
+    assert known.region == ROOM.region  # the walls stand where they stood
+    assert set(known.floor) == set(HALL) == set(as_specified(known).region)
+    assert scene_hash(known) == scene_hash(msgspec.structs.replace(ROOM, places=known.places))
+    save_scene(known, tmp_path / "scene.json")
+    assert load_scene(tmp_path / "scene.json") == known
+
+
+def test_the_tighter_of_room_and_map_holds_and_a_place_of_the_scene_stays_where_it_is():
+    beyond = ((-9.0, -1.2), (9.0, -1.2), (9.0, 1.0), (-9.0, 1.0))
+    moved = MapPlace("shelf", (40.0, 0.0, 0.0))  # the scene's own shelf was measured; this one is not looked at
+    known = with_floor(ROOM, floor_map(moved, hall=beyond), "start", load_body("base"))
+    assert np.sort(np.array(known.floor), axis=0) == pytest.approx(
+        np.array([(-1.0, -1.2), (-1.0, -1.2), (5.2, 1.0), (5.2, 1.0)])
+    )
+    assert known.places == ROOM.places
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"places": (MapPlace("far_end", (4.0, 0.0, 0.0)),)}, "far_end"),  # in the room, off the map's floor
+        ({"regions": (), "places": (MapPlace("next_door", (7.0, 0.0, 0.0)),)}, "next_door"),  # behind the room's wall
+        ({"places": (MapPlace("hole_in", (2.0, 0.0, 0.0)),), "regions": (
+            Region("hole", "keep_out", ((1.8, -0.2), (2.2, -0.2), (2.2, 0.2), (1.8, 0.2))),)}, "hole_in"),
+        ({"regions": (Region("hall", "traversable", ((-0.2, -0.2), (3.0, -0.2), (3.0, 1.0))),)}, "start of the base"),
+        ({"regions": (Region("hall", "traversable", ((1.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "start of the base"),
+        ({"regions": (Region("shelf_unit", "keep_out", ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0))),)}, "shelf_unit"),
+    ],
+)  # fmt: skip
+def test_a_map_that_does_not_fit_the_room_is_refused_in_words(changed, words):
+    one = msgspec.structs.replace(floor_map(), **changed)
+    with pytest.raises(InvalidSetup, match=words):
+        with_floor(ROOM, one, "start", load_body("base"))
 
 
 @pytest.mark.parametrize(

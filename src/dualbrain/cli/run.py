@@ -83,7 +83,8 @@ def run(
     utility
         Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
     map
-        MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names.
+        MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names; for a
+        base those on the floor, and its regions bound where it drives.
     live
         In real time and two processes: a gatekeeper holds robot, filter and supervisor, and outlives the planner.
     speed

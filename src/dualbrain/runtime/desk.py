@@ -16,7 +16,7 @@ from dualbrain.skills.limb import Limb
 from dualbrain.skills.skill import Senses
 from dualbrain.skills.vocabulary import limb_of
 from dualbrain.world.catalogue import open_scene
-from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.world.scene_spec import SceneSpec, closed_floor
 
 
 def check_contract(data: bytes, *, robot: str, scene: str) -> Verdict:
@@ -49,4 +49,4 @@ def as_specified(spec: SceneSpec) -> Scene:
         for thing in spec.things
     )  # fmt: skip
     support = () if spec.region else (table,)
-    return Scene(spec.robot, 0.0, 1, (*support, *things), spec.places, spec.region)
+    return Scene(spec.robot, 0.0, 1, (*support, *things, *closed_floor(spec, 0.0)), spec.places, spec.floor)

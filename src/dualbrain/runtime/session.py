@@ -33,7 +33,7 @@ from dualbrain.memory.store import Memory, StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED, beside_hash, template_hash
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, Passage, Setback
-from dualbrain.runtime.charted import open_map, with_places
+from dualbrain.runtime.charted import charted
 from dualbrain.runtime.consulting import consult
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.episode import Errand, Witness, run_episode
@@ -93,8 +93,11 @@ class Session:
         self.standing = site_obstacles(self.body, site) if site else ()
         self.grants = site_grants(site, frozenset(registry_of(self.body).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
-        goal = errand_of(config.goal, self.spec) if config.goal else None
         encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
+        self.library = self._open_library(encoder)
+        if self.library is not None and config.map:
+            self.spec = charted(self.spec, self.body, self.library, config.map)
+        goal = errand_of(config.goal, self.spec) if config.goal else None
         self._eyes = ImageEncoder(weights.locate(IMAGE_WEIGHTS, config.cache)) if config.eyes else None
         self.planner = planner or self._open_planner(environ)
         if planner is None:
@@ -104,11 +107,8 @@ class Session:
         ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.times.now())
         self._stack.callback(ledger.close)
         self.ledger = ledger
-        self.library = self._open_library(encoder)
         rule = None if config.static else Plasticity()
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),), plasticity=rule))
-        if self.library is not None and config.map:
-            self.spec = with_places(self.spec, *open_map(self.library, config.map))
         self.plant = open_plant(self.spec, self.body, visuals=config.visuals)
         perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
         self.world = SimulatedWorld(self.plant, perception, goal=goal, pace=self.times.pace)

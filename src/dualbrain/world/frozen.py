@@ -26,9 +26,9 @@ DIGITS, LENGTH = 6, 12
 
 
 def scene_hash(spec: SceneSpec) -> str:
-    """First 12 hex digits of the SHA-256 of everything in `spec` but the robot, lengths to a micrometre."""
+    """First 12 hex digits of the SHA-256 of everything in `spec` but robot and map, lengths to a micrometre."""
     said = msgspec.to_builtins(spec)
-    del said["robot"]
+    del said["robot"], said["chart"]
     return hashlib.sha256(json.dumps(_rounded(said), sort_keys=True).encode()).hexdigest()[:LENGTH]
 
 

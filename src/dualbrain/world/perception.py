@@ -3,7 +3,8 @@
 Position error e ∈ R³ of each thing follows e' = ρ e + sqrt(1 − ρ²) w with w ~ N(0, σ² I) and ρ = exp(−Δt/T): a
 calibration error that drifts slowly (T seconds) instead of jumping at each look. It is redrawn until ‖e'‖ ≤ 3σ, so 3σ
 bounds the *norm*, always; that bound is handed on in `SceneObject.error`. A person's velocity error is uniform in a
-ball of the declared radius. Exact by declaration: sizes, orientations, identities, what things stand on, the places.
+ball of the declared radius. Exact by declaration: sizes, orientations, identities, what things stand on, the places,
+what a map says of the floor.
 Things on the table are taken to be at rest (velocity zero): only a person's velocity is estimated.
 """
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from dualbrain.errors import InvalidSetup
 from dualbrain.records import Capsule, HalfSpace, Pose, Scene, SceneObject, Vector
 from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec, Thing
+from dualbrain.world.scene_spec import SceneSpec, Thing, closed_floor
 
 TRUNCATION = 3.0
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), category="table")
@@ -80,7 +81,8 @@ class Perception:
             self._names, self._version = names, self._version + 1
         table = msgspec.structs.replace(TABLE, stamp=now)
         support = () if self._spec.region else (table,)
-        return Scene(self._spec.robot, now, self._version, (*support, *seen), self._spec.places, self._spec.region)
+        things = (*support, *seen, *closed_floor(self._spec, now))
+        return Scene(self._spec.robot, now, self._version, things, self._spec.places, self._spec.floor)
 
     def _capture(self, plant: Plant, now: float) -> None:
         elapsed = 0.0 if self._looked is None else now - self._looked

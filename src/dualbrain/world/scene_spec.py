@@ -6,15 +6,18 @@ frame: origin at the robot's base on the table top, z up, metres and kilograms.
 
 from __future__ import annotations
 
+from math import cos, sin
 from pathlib import Path
 
 import msgspec
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.records import UPRIGHT, Place, Quaternion, Role, Shape, Vector
+from dualbrain.records import UPRIGHT, Box, Place, Pose, Quaternion, Role, SceneObject, Shape, Vector
 
 SCHEMA_VERSION = 1
 TABLE_X, TABLE_Y = (-0.20, 0.95), (-0.65, 0.65)
+SHUT = 1.0
+"""How high over the floor what a map closes is taken to reach, and how deep below [m]."""
 
 
 class Thing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,11 +61,27 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     force: float = 150.0
 
 
+class Closed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangle of the floor that is kept out of: its `middle` (x, y) and `half` sides [m], turned by `yaw` [rad]."""
+
+    name: str
+    middle: tuple[float, float]
+    half: tuple[float, float]
+    yaw: float = 0.0
+
+
+class Chart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a map says of a room: a base keeps to `floor` (a convex polygon, counter-clockwise) and out of `closed`."""
+
+    floor: tuple[tuple[float, float], ...]
+    closed: tuple[Closed, ...] = ()
+
+
 class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything needed to build one world again, bit for bit.
 
     With a `region` (corners (x, y) [m] of a convex polygon, counter-clockwise) the world is a room with walls;
-    without one it is a table.
+    without one it is a table. A `chart` is no part of that world: it is what a base is told of it beforehand.
     """
 
     robot: str
@@ -73,6 +92,12 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mover: Mover | None = None
     region: tuple[tuple[float, float], ...] = ()
     schema_version: int = SCHEMA_VERSION
+    chart: Chart | None = None
+
+    @property
+    def floor(self) -> tuple[tuple[float, float], ...]:
+        """What a base may drive on: the map's floor, or without a map the whole room."""
+        return self.chart.floor if self.chart else self.region
 
     def find(self, name: str) -> Thing:
         """The thing called `name`; raises `UnknownName`."""
@@ -87,6 +112,18 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             if place.name == name:
                 return place
         raise UnknownName("place", name, tuple(place.name for place in self.places), owner=f"scene {self.family}")
+
+
+def closed_floor(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
+    """What the map of `spec` closes, as things that stand there for good and are known exactly at `stamp` [s]."""
+    return tuple(
+        SceneObject(
+            one.name, "obstacle", Box((*one.half, SHUT)),
+            Pose((*one.middle, 0.0), (cos(0.5 * one.yaw), 0.0, 0.0, sin(0.5 * one.yaw))),
+            stamp=stamp, category="keep_out", colour="red",
+        )
+        for one in (spec.chart.closed if spec.chart else ())
+    )  # fmt: skip
 
 
 def save_scene(spec: SceneSpec, path: Path) -> None:
@@ -118,9 +155,12 @@ def check_scene(spec: SceneSpec) -> None:
     built_in = ("floor",) if spec.region else ("table", "floor")
     names = [*(thing.name for thing in spec.things), *(place.name for place in spec.places), *built_in]
     names += [spec.mover.name] if spec.mover else []
+    names += [one.name for one in spec.chart.closed] if spec.chart else []
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidSetup("scene names", got=twice, allowed="each name once, and none called table or floor")
+    if spec.chart is not None and (not spec.region or len(spec.chart.floor) < 3):
+        raise InvalidSetup("chart of the scene", got=spec.chart.floor, allowed="3 corners or more, in a room")
     for thing in spec.things:
         _check_thing(thing)
     if spec.mover is not None:
