@@ -184,10 +184,11 @@ def test_a_bound_is_called_acceleration_within_a_thousandth_of_a_step(more, told
         assert [row[2] for row in got.rows] == [told, told]
 
 
+@pytest.mark.parametrize("j_max", [4000.0, 0.5])
 @pytest.mark.parametrize(("more", "told"), [(0.7e-3, JERKED), (1.5e-3, AT_LIMIT)])
-def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, told):
-    model = chain(j_max=np.full(2, 4000.0))  # 4 mrad/s a period each period
-    step, jerk = 0.01, 0.004
+def test_a_bound_is_called_jerk_within_a_thousandth_of_a_step(more, told, j_max):
+    model = chain(j_max=np.full(2, j_max))
+    step, jerk = 0.01, j_max * 1e-3**2  # 4 mrad/s a period each period, or next to nothing
     for side in (1.0, -1.0):
         bound = 0.5 + jerk - more * step
         q = side * (2.0 - bound / 4.0)
