@@ -66,7 +66,8 @@ def test_one_flipped_bit_of_an_input_is_found(recordings, monkeypatch, column, b
         (i, m) for i, m in enumerate(messages) if isinstance(m, Ticks) and m.columns["t"][0] > 0.5
     )  # fmt: skip
     values = [list(value) if isinstance(value, list) else value for value in batch.columns[column]]
-    values[7] = [flipped(values[7][0], bit), *values[7][1:]] if isinstance(values[7], list) else flipped(values[7], bit)
+    elbow = values[7][3]  # what is nearest hangs on it: the hand comes toward the arm's own links
+    values[7] = [*values[7][:3], flipped(elbow, bit), *values[7][4:]]
     messages[where] = msgspec.structs.replace(batch, columns={**batch.columns, column: values})
     result = replayed(monkeypatch, recordings["on"], messages)
     assert not result.identical
