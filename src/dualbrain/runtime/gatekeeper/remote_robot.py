@@ -148,7 +148,7 @@ class RemoteRobot:
                 case bus.Seen(scene):
                     self._scene = scene
                 case Rubbish(reason):
-                    raise InvalidSetup("packet of the robot", got=reason, allowed="a state, a scene or a judgement")
+                    raise InvalidSetup("packet of the robot", got=reason, allowed="a state or a scene")
 
     def _take(self, state: bus.State) -> None:
         self._received = time.monotonic()
