@@ -1,7 +1,7 @@
 """The simulated base: a plant that drives, behind the same `Robot` protocol.
 
-Its control is u = (v, ω), its configuration q = (x, y, θ). The wheels' own controller follows u with a first-order lag
-of `WHEEL_LAG`; the planar joints are then driven at (v cos θ, v sin θ, ω), so that the axle never moves sideways.
+Its control is u = (v, ω), its configuration q = (x, y, θ). The wheels' own controller (`wheels.py`) follows u; the
+planar joints are then driven at (v cos θ, v sin θ, ω), so that the axle never moves sideways.
 Without its drive the base is held by friction brakes.
 """
 
@@ -10,7 +10,7 @@ Without its drive the base is held by friction brakes.
 
 from __future__ import annotations
 
-from math import cos, exp, sin
+from math import cos, sin
 
 import mujoco
 import numpy as np
@@ -19,10 +19,9 @@ from dualbrain.embodiment.robot import Array, Command, RobotState
 from dualbrain.world.drive import ARM_GROUP, DriveKind
 from dualbrain.world.model_provider import BASE_JOINTS
 from dualbrain.world.plant import Plant
-from dualbrain.world.scene_builder import PERIOD, PREFIX
+from dualbrain.world.scene_builder import PREFIX
+from dualbrain.world.wheels import Wheels
 
-WHEEL_LAG = 0.04
-"""[s]"""
 BRAKES = (600.0, 600.0, 100.0)
 """Holding friction along x and y [N] and about z [Nm]."""
 
@@ -37,8 +36,7 @@ class BasePlant(Plant):
         self._dof = slice(int(joints[0].dofadr[0]), int(joints[-1].dofadr[0]) + 1)
         first = int(self.model.actuator(f"{PREFIX}{BASE_JOINTS[0]}").id)
         self._motors = slice(first, first + len(BASE_JOINTS))
-        self._keep = exp(-PERIOD / WHEEL_LAG)
-        self._wheels = np.zeros(2)
+        self._wheels = Wheels(self.body)
         self._index_mover()
         self.place_arm(np.array(self.body.home))
 
@@ -77,8 +75,7 @@ class BasePlant(Plant):
 
     def act(self) -> None:
         """Wheels and mover get their set points, then time passes by one step; after `sense`."""
-        self._wheels = self._u + self._keep * (self._wheels - self._u)
-        heading, (v, w) = float(self.data.qpos[self._arm][2]), self._wheels.tolist()
+        heading, (v, w) = float(self.data.qpos[self._arm][2]), self._wheels.follow(self._u).tolist()
         self.data.ctrl[self._motors] = (v * cos(heading), v * sin(heading), w)
         self._move_mover()
         mujoco.mj_step2(self.model, self.data)
@@ -95,4 +92,5 @@ class BasePlant(Plant):
         return {self.body.links[0].name: f"{PREFIX}link0"}
 
     def _forget(self) -> None:
-        self._u[:], self._wheels[:] = 0.0, 0.0
+        self._u[:] = 0.0
+        self._wheels.forget()

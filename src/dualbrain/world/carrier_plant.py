@@ -1,7 +1,7 @@
 """The simulated mobile manipulator: an arm's plant on a base that drives, behind the same `Robot` protocol.
 
-Its control is u = (v, ω, q̇), its configuration (x, y, θ, q). The base is that of `base_plant` (wheels that do not slip,
-with a first-order lag), the arm that of `plant` with its own drive; each feels the other's motion through MuJoCo alone.
+Its control is u = (v, ω, q̇), its configuration (x, y, θ, q). The base is that of `base_plant` (wheels that do not
+slip), the arm that of `plant` with its own drive; each feels the other's motion through MuJoCo alone.
 """
 
 # MuJoCo ships no type stubs:
@@ -9,7 +9,7 @@ with a first-order lag), the arm that of `plant` with its own drive; each feels 
 
 from __future__ import annotations
 
-from math import cos, exp, sin
+from math import cos, sin
 
 import mujoco
 import numpy as np
@@ -17,11 +17,12 @@ import numpy as np
 from dualbrain.embodiment.mobile_manipulator import BASE_JOINTS as DRIVEN
 from dualbrain.embodiment.mobile_manipulator import BASE_WIDTH
 from dualbrain.embodiment.robot import Array, RobotState
-from dualbrain.world.base_plant import BRAKES, WHEEL_LAG
+from dualbrain.world.base_plant import BRAKES
 from dualbrain.world.drive import ComputedTorque, DriveKind
 from dualbrain.world.model_provider import BASE_JOINTS, PLATFORM
 from dualbrain.world.plant import Plant
 from dualbrain.world.scene_builder import PERIOD, PREFIX
+from dualbrain.world.wheels import Wheels
 
 WHEELS_GROUP = 4
 """Group of the actuators that move the platform."""
@@ -36,8 +37,7 @@ class CarrierPlant(Plant):
         self._roll = slice(int(joints[0].dofadr[0]), int(joints[-1].dofadr[0]) + 1)
         first = int(self.model.actuator(f"{PREFIX}{BASE_JOINTS[0]}").id)
         self._motors = slice(first, first + len(BASE_JOINTS))
-        self._keep = exp(-PERIOD / WHEEL_LAG)
-        self._wheels = np.zeros(DRIVEN)
+        self._wheels = Wheels(self.body)
         super()._arrange(drive, load)
 
     def read(self) -> RobotState:
@@ -90,17 +90,16 @@ class CarrierPlant(Plant):
         return super().parts() | {self.body.links[0].name: f"{PREFIX}{PLATFORM}"}
 
     def _drive(self) -> None:
-        before = self._wheels
-        self._wheels = self._u[:DRIVEN] + self._keep * (before - self._u[:DRIVEN])
-        heading, (v, w) = float(self.data.qpos[self._stand][2]), self._wheels.tolist()
+        before, wheels = self._wheels.speed, self._wheels.follow(self._u[:DRIVEN])
+        heading, (v, w) = float(self.data.qpos[self._stand][2]), wheels.tolist()
         c, s = cos(heading), sin(heading)
         self.data.ctrl[self._motors] = (v * c, v * s, w)
         if isinstance(self.drive, ComputedTorque):
-            faster, turning = ((self._wheels - before) / PERIOD).tolist()
+            faster, turning = ((wheels - before) / PERIOD).tolist()
             self.drive.carried(self._roll, np.array([faster * c - v * w * s, faster * s + v * w * c, turning]))
         self.drive.act(self._u[DRIVEN:])
 
     def _forget(self) -> None:
-        self._wheels[:] = 0.0
+        self._wheels.forget()
         self.data.ctrl[self._motors] = 0.0
         super()._forget()
