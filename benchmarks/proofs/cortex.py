@@ -49,7 +49,7 @@ ACKNOWLEDGEMENT = "between write and acknowledgement"
 """Here: the contract has left the cortex, and no answer has come."""
 REPEATS = 4
 STALL = SIMULATED.lost
-TOLD = BEAT_EVERY * SIMULATED.period + 2.0 * STALL
+TOLD = BEAT_EVERY + 2.0 * STALL
 COUNTED = FRAMES_A_SECOND / FRAMES_A_TICK * SIMULATED.period
 DECLARED = {
     "kill": TOLD, "stop": SILENCE + TOLD, "flood": 2.0 * COUNTED + STALL + TOLD, "rubbish": STALL + TOLD,

@@ -106,7 +106,7 @@ class Stage:
             case News(kind="phase"):
                 self.phase = message.text.rpartition(": ")[2]
             case Glimpse():
-                self.speed = message.speed
+                self.speed = max(map(abs, message.u))
             case _:
                 pass
 

@@ -29,11 +29,12 @@ def plot_tick(row: Row, path: Path) -> None:
 
 
 def _intervals(axis: Axes, row: Row) -> None:
-    last = int(SHOWN / BIN)
+    width = BIN * SIMULATED.period
+    last = int(SHOWN / width)
     counts = np.zeros(last + 1)
     for k, count in row["bins"].items():
         counts[min(int(k), last)] += count
-    axis.bar(1e3 * BIN * (np.arange(last + 1) + 0.5), counts, width=1e3 * BIN, color=BLUE)
+    axis.bar(1e3 * width * (np.arange(last + 1) + 0.5), counts, width=1e3 * width, color=BLUE)
     axis.axvline(1e3 * SIMULATED.period, color="0.3", lw=0.8, ls="--")
     axis.set_yscale("log")
     axis.set_xlabel(f"interval between two joint states [ms] (longest {1e3 * row['interval'][3]:.1f} ms)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -26,6 +27,8 @@ from proofs.workday import work
 MINUTES = 10
 SCENE = "tabletop:1"
 PICTURE = "images/tick.png"
+WIDEST = BIN * BINS * SIMULATED.period
+"""The last bin of the intervals begins here [s]."""
 LEAVE = 10.0
 """How long the robot may take to write its report [s]."""
 
@@ -97,7 +100,7 @@ def _account(row: Row) -> list[str]:
         f"In one run: **{states}** periods of the robot, **{loops}** control ticks; **{lost}** ticks missed "
         f"({lost / max(1, states):.2%}), {row['missed']} states lost on the way. Late ticks (over "
         f"{1e3 * SIMULATED.overrun:g} ms of work): **{late}** ({late / max(1, loops):.2%}). Stalls of over "
-        f"{1e3 * BIN * BINS:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
+        f"{1e3 * WIDEST:.0f} ms: **{beyond}**, the longest {1e3 * longest:.0f} ms. Physics fell behind the clock "
         f"{row['slips']} times.", "",
         f"![Intervals between states, and what a tick is made of]({PICTURE})", "",
     ]  # fmt: skip
@@ -130,10 +133,16 @@ def _meanwhile(row: Row) -> list[str]:
     outcomes = ", ".join(f"{kind} {count}" for kind, count in sorted(row["outcomes"].items()))
     whole = "complete" if recording["complete"] else f"{recording['dropped']} messages dropped"
     return [
-        f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}; recording of "
+        f"Meanwhile: {thought}; contracts: {contracts}; outcomes: {outcomes}{_why(row)}; recording of "
         f"{recording['bytes'] / 1e6:.0f} MB, {whole}; a page of the live view took {pieces} messages, "
         f"{size / 1e6:.1f} MB. Violations on truth: {violation_words(row) or 'none'}.", "",
     ]  # fmt: skip
+
+
+def _why(row: Row) -> str:
+    """Why contracts ended, in the words of their outcomes; older rows do not tell."""
+    why = "; ".join(f"{reason} ({count})" for reason, count in Counter(row.get("reasons", {})).most_common(3))
+    return f" (most often: {why})" if why else ""
 
 
 def _milliseconds(values: list[float]) -> list[str]:

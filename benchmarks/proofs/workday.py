@@ -65,10 +65,11 @@ except Exception as why:
 
 @dataclass
 class Workday:
-    """What was done: contracts by who made them, outcomes, decisions [s each], what the page was sent."""
+    """What was done: contracts by who made them, outcomes and why, decisions [s each], what the page was sent."""
 
     contracts: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
     decisions: list[float] = field(default_factory=list)
     page: tuple[int, int] = (0, 0)
 
@@ -147,7 +148,9 @@ def _command(link: GatekeeperLink, decided: Queue[bytes], day: Workday, until: f
             time.sleep(0.2)
             continue
         day.contracts[f"{who}, accepted"] += 1
-        day.outcomes[link.ended(LONGEST).outcome.kind] += 1
+        outcome = link.ended(LONGEST).outcome
+        day.outcomes[outcome.kind] += 1
+        day.reasons[outcome.reason] += 1
 
 
 def _given(link: GatekeeperLink, destination: str, number: int) -> bytes:

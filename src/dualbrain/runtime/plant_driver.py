@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
-import msgspec
-
 from dualbrain.drivers.driver import sound
 from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, RobotState
-from dualbrain.safety.timing import SIMULATED, Timing
+from dualbrain.safety.timing import Timing, simulated
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.open_plant import open_plant
 
@@ -23,7 +21,7 @@ class PlantDriver:
     def __init__(self, body: Body) -> None:
         """The arm at home, drive off."""
         self._plant = open_plant(open_scene("bare:0", body.name), body)
-        self.timing: Timing = msgspec.structs.replace(SIMULATED, period=body.period)
+        self.timing: Timing = simulated(body.period)
         self._faults: tuple[str, ...] = ()
         self._plant.stop()
         self._state = self._plant.read()

@@ -31,6 +31,13 @@ class Timing(msgspec.Struct, frozen=True):
 
 SIMULATED = Timing()
 """The MuJoCo plant at 1 kHz, on a desktop without real-time guarantees: gaps that the drive bridges are borne."""
+
+
+def simulated(period: float) -> Timing:
+    """The plant of a body whose states come every `period` [s]."""
+    return msgspec.structs.replace(SIMULATED, period=period, overrun=period, late=0.8 * period)
+
+
 FRANKA = Timing(period=0.001, overrun=0.001, late=0.0003, lost=0.015, stale=0.015, blind=0.02, behind=0.01, quiet=0.5)
 """1 kHz; a command belongs within 300 µs of its state; 20 packets missed in a row make the arm stop by itself
 (libfranka: `communication_constraints_violation`). While a motion is begun, no states come."""

@@ -9,7 +9,8 @@ import pytest
 
 from dualbrain.records import Scene
 from dualbrain.runtime.gatekeeper import bus
-from dualbrain.runtime.gatekeeper.driver_process import LOOK_EVERY, DriverProcess, surveyed
+from dualbrain.runtime.gatekeeper.driver_process import DriverProcess, surveyed
+from dualbrain.runtime.gatekeeper.robot_process import looks_every
 from dualbrain.runtime.scene_watch import SceneWatch
 from dualbrain.world.catalogue import open_scene
 from tests.drivers.subjects import ur
@@ -96,11 +97,12 @@ def test_a_surveyed_scene_is_told_for_ever_and_is_no_camera_that_hangs():
     ours.settimeout(PATIENCE)
     driver, watch, looks = ur().driver, SceneWatch(), 0
     process = DriverProcess(driver, surveyed(open_scene("tabletop:1", "ur5e")), theirs)
-    for _ in range(10 * LOOK_EVERY):
+    every = looks_every(driver.timing.period)
+    for _ in range(10 * every):
         driver.wait()
         process._tell()
         packets = [bus.from_robot(ours.recv(bus.PACKET))]
-        if process._ticks % LOOK_EVERY == 1:
+        if process._ticks % every == 1:
             packets.append(bus.from_robot(ours.recv(bus.PACKET)))
         for packet in packets:
             if isinstance(packet, bus.Seen):

@@ -10,7 +10,7 @@ from dualbrain.runtime.gatekeeper.histogram import BINS, Histogram
 from dualbrain.runtime.gatekeeper.laps import PARTS, Laps
 from dualbrain.runtime.gatekeeper.metronome import WARM_UP, Metronome
 from dualbrain.safety.condition import Condition
-from dualbrain.safety.timing import SIMULATED
+from dualbrain.safety.timing import SIMULATED, simulated
 
 WIDTH = 1e-3
 
@@ -70,25 +70,41 @@ def _beat(metronome, count, work, start=0.0, period=1e-3, lost=0):
         metronome.ended(now + work)
 
 
-def test_a_punctual_tick_raises_nothing_and_a_late_one_is_counted_and_told():
-    metronome = Metronome(SIMULATED)
-    _beat(metronome, WARM_UP + 100, 3e-4)
+@pytest.mark.parametrize("period", [1e-3, 0.02])
+def test_a_punctual_tick_raises_nothing_and_a_late_one_is_counted_and_told(period):
+    metronome, warm = Metronome(simulated(period)), round(WARM_UP / period)
+    _beat(metronome, warm + 100, 0.3 * period, period=period)
     assert metronome.flags() == 0
-    _beat(metronome, 10, 1.5e-3, start=1.0, period=2e-3)
+    late = (warm + 100) * period + 0.5
+    _beat(metronome, 10, 1.5 * period, start=late, period=2.0 * period)
     flags = metronome.flags()
     assert flags & Condition.TICK_OVERRUN
     assert not flags & Condition.COMMAND_LATE
-    assert flags & Condition.TICK_LOST, "between the two there was a hole of 0.7 s"
+    assert flags & Condition.TICK_LOST, "between the two there was a hole of half a second"
     found = metronome.summary()
-    assert (found.late, found.ticks) == (10, WARM_UP + 110)
-    assert found.interval[0] == pytest.approx(1e-3, abs=3e-5)
+    assert (found.late, found.ticks) == (10, warm + 110)
+    assert found.interval[0] == pytest.approx(period, rel=0.03)
     assert sum(found.bins) == found.ticks - 1
     assert metronome.flags() == 0, "told once"
 
 
+@pytest.mark.parametrize("period", [1e-3, 0.02])
+def test_a_fifth_of_the_last_second_late_is_too_much_and_is_forgotten_after_one(period):
+    metronome, second = Metronome(simulated(period)), round(1.0 / period)
+    _beat(metronome, 2 * second, 0.3 * period, period=period)
+    _beat(metronome, second // 5, 1.1 * period, start=2.0, period=2.0 * period)
+    assert not metronome.flags() & Condition.TICKS_OVERRUN
+    _beat(metronome, 1, 1.1 * period, start=2.6, period=period)
+    assert metronome.flags() & Condition.TICKS_OVERRUN
+    _beat(metronome, second, 0.3 * period, start=3.0, period=period)
+    metronome.flags()
+    _beat(metronome, 1, 0.3 * period, start=4.0, period=period)
+    assert not metronome.flags() & Condition.TICKS_OVERRUN
+
+
 def test_states_that_never_came_are_counted_after_the_start():
-    metronome = Metronome(SIMULATED)
-    _beat(metronome, WARM_UP, 1e-4, lost=1)
+    metronome, warm = Metronome(SIMULATED), round(WARM_UP / SIMULATED.period)
+    _beat(metronome, warm, 1e-4, lost=1)
     assert metronome.missed == 0
-    _beat(metronome, 5, 1e-4, start=WARM_UP * 1e-3, lost=2)
+    _beat(metronome, 5, 1e-4, start=warm * 1e-3, lost=2)
     assert metronome.missed == 10

@@ -25,14 +25,13 @@ from dualbrain.embodiment.robot import Command
 from dualbrain.errors import InvalidSetup
 from dualbrain.records import Pose, Scene, SceneObject
 from dualbrain.runtime.gatekeeper import bus
-from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG
+from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG, looks_every
 from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
 from dualbrain.world.perception import TABLE
 from dualbrain.world.scene_spec import SceneSpec
 
 ANSWER = 0.7
 """The share of a period for which the answer to a state is awaited."""
-LOOK_EVERY = 33
 SURVEYED = 0.005
 """How far a surveyed thing may be from where the scene file says [m]."""
 
@@ -56,6 +55,7 @@ class DriverProcess:
         self._asked_to_quit = self._answered = False
         self._heard, self._on = time.monotonic(), False
         self._ticks, self._joints = 0, len(driver.read().q)
+        self._look_every = looks_every(driver.timing.period)
 
     def serve(self) -> None:
         """Until told to quit, or until the link is gone."""
@@ -73,7 +73,7 @@ class DriverProcess:
     def _tell(self) -> None:
         state = self._driver.read()
         self._wire.send(bus.State.of(state))
-        if self._ticks % LOOK_EVERY == 0:
+        if self._ticks % self._look_every == 0:
             self._wire.send(bus.Seen(msgspec.structs.replace(self._scene, stamp=state.stamp)))
         self._ticks += 1
 

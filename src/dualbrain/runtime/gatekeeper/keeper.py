@@ -55,8 +55,8 @@ NAMELESS = 2.0
 """Whoever has not said who they are by then is let go [s]."""
 MEMORY = 0.5
 """How long a flood, or a refused message, is held against the commander [s]."""
-BEAT_EVERY, TIDY_EVERY = 50, 10_000
-"""Ticks between heartbeats downward, and between clean-ups while idle."""
+BEAT_EVERY, TIDY_EVERY = 0.05, 10.0
+"""Time between heartbeats downward, and between clean-ups while idle [s]."""
 GLIMPSE_EVERY = 0.066
 """Time between glimpses for people [s]."""
 LONGEST_LIFE = 660.0
@@ -94,6 +94,7 @@ class Gatekeeper:
         self._monotonic, self._ended = monotonic, ended
         self._tokens: dict[str, tuple[float, float]] = {}
         self._body = body
+        self._beat_every, self._tidy_every = (max(1, round(t / body.period)) for t in (BEAT_EVERY, TIDY_EVERY))
         self.layer = LocalLayer(
             body, robot, robot, SafetyFilter(body, config, standing=standing), self._log,
             LayerConfig(watch_every=GLIMPSE_EVERY),
@@ -116,7 +117,7 @@ class Gatekeeper:
                 self._carry_out(contract)
             else:
                 self.layer.hold(self._body.period, "idle")
-                if self._ticks % TIDY_EVERY == 0:
+                if self._ticks % self._tidy_every == 0:
                     self._trace.forget()
                     gc.collect(0)
         self._clerk.close()
@@ -159,7 +160,7 @@ class Gatekeeper:
             self._lose(peer, now)
         if (ruling := self._clerk.ruling()) is not None:
             self._rule(ruling)
-        if self._ticks % BEAT_EVERY == 0:
+        if self._ticks % self._beat_every == 0:
             self._beat(now)
         self.layer.spine.stage = self.hand.stage
         return self._conditions(now)

@@ -11,17 +11,18 @@ from dualbrain.runtime.gatekeeper.laps import Part
 from dualbrain.safety.condition import Condition
 from dualbrain.safety.timing import Timing
 
-BIN = 2e-5
-"""Histograms: bins of 20 µs up to 20 ms; the last bin holds what is beyond."""
-WINDOW = 1000
-WARM_UP = 200
-"""Ticks at the start of which nothing is held against anybody."""
+BIN = 0.02
+"""Histograms: bins of a fiftieth of a period up to twenty periods; the last bin holds what is beyond."""
+WINDOW = 1.0
+"""Late ticks are counted over so long [s]."""
+WARM_UP = 0.2
+"""So long [s] at the start nothing is held against anybody."""
 
 
 class Punctuality(msgspec.Struct, frozen=True):
     """A summary [s]: percentiles (50, 99, 99.9, 100) of interval, work and latency; the shares of late ticks.
 
-    `missed` states never came; `bins` are counts of intervals by 20 µs; `parts` is what a tick's work is made of.
+    `missed` states never came; `bins` are counts of intervals by `BIN` of a period; `parts`: what a tick is made of.
     """
 
     ticks: int
@@ -40,10 +41,11 @@ class Metronome:
     def __init__(self, timing: Timing) -> None:
         """Nothing has happened yet."""
         self._timing = timing
-        self._interval, self._work, self._latency = Histogram(BIN), Histogram(BIN), Histogram(BIN)
+        self._interval, self._work, self._latency = (Histogram(BIN * timing.period) for _ in range(3))
+        self._window, self._warm_up = (round(time / timing.period) for time in (WINDOW, WARM_UP))
         self._arrived: float | None = None
         self._sent = True
-        self._recent: deque[bool] = deque(maxlen=WINDOW)
+        self._recent: deque[bool] = deque(maxlen=self._window)
         self._late = self._overruns = 0
         self._ticks = self.missed = 0
         self._flags = 0
@@ -53,11 +55,11 @@ class Metronome:
         if self._arrived is not None:
             gap = now - self._arrived
             self._interval.add(gap)
-            if gap > self._timing.lost and self._ticks > WARM_UP:
+            if gap > self._timing.lost and self._ticks > self._warm_up:
                 self._flags |= Condition.TICK_LOST
         self._arrived, self._sent = now, False
         self._ticks += 1
-        self.missed += lost if self._ticks > WARM_UP else 0
+        self.missed += lost if self._ticks > self._warm_up else 0
 
     def sent(self, now: float) -> None:
         """The command that answers the last state leaves."""
@@ -75,13 +77,13 @@ class Metronome:
             return
         work = now - self._arrived
         self._work.add(work)
-        late = work > self._timing.overrun and self._ticks > WARM_UP
-        self._overruns += late - (self._recent[0] if len(self._recent) == WINDOW else False)
+        late = work > self._timing.overrun and self._ticks > self._warm_up
+        self._overruns += late - (self._recent[0] if len(self._recent) == self._window else False)
         self._recent.append(late)
         if late:
             self._late += 1
             self._flags |= Condition.TICK_OVERRUN
-        if self._overruns > self._timing.overruns * WINDOW:
+        if self._overruns > self._timing.overruns * self._window:
             self._flags |= Condition.TICKS_OVERRUN
 
     def flags(self) -> int:

@@ -17,7 +17,7 @@ from dualbrain.runtime.vocabulary import PLANNER
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.obstacles import Obstacle
 from dualbrain.safety.site import site_body, site_grants, site_obstacles
-from dualbrain.safety.timing import SIMULATED, Timing
+from dualbrain.safety.timing import Timing, simulated
 from dualbrain.skills.vocabulary import registry_of
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Place:
     @property
     def timing(self) -> Timing:
         """How punctual the robot's bus is."""
-        return self.kind.timing if self.kind else SIMULATED
+        return self.kind.timing if self.kind else simulated(self.body.period)
 
     @property
     def config(self) -> FilterConfig | None:

@@ -82,13 +82,16 @@ class RemoteRobot:
         return self._scene
 
     def advance(self) -> None:
-        """Until the next joint state, at most `PATIENCE` periods; a dead robot beats no time, so we do."""
+        """Until the next joint state, at most `PATIENCE` periods, as a dead robot beats no time.
+
+        Where a period is long, no longer than a state may be old.
+        """
         self.metronome.ended(time.monotonic())
         self._laps.ended()
         if not self._wire.open:
             time.sleep(self._timing.period)
         before = self._state
-        deadline = time.monotonic() + PATIENCE * self._timing.period
+        deadline = time.monotonic() + min(PATIENCE * self._timing.period, self._timing.stale)
         while self._wire.open and self._state is before and (left := deadline - time.monotonic()) > 0.0:
             heard = self._wire.wait(left)
             self._laps.lap("wait")

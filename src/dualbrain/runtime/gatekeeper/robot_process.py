@@ -33,7 +33,8 @@ WATCHDOG = 0.1
 AFTERMATH = 1.0
 BEHIND = 0.1
 """When physics falls this far behind the clock [s], it goes on from there instead of racing after it."""
-LOOK_EVERY = 33
+LOOK_EVERY = 0.033
+"""Time between two pictures [s]."""
 
 
 class Settings(msgspec.Struct, frozen=True):
@@ -80,6 +81,7 @@ class RobotProcess:
         )
         self._wire: Wire[bus.ToRobot] = Wire(link, bus.to_robot)
         self._settings, self._period, self._asked_to_quit = settings, body.period, False
+        self._look_every = looks_every(body.period)
         self._silent_at, self._armed = time.monotonic(), False
         self._off_at: float | None = None
         self._off_by, self._off_q = "", self.plant.read().q
@@ -104,7 +106,7 @@ class RobotProcess:
         self.world.advance()
         state = self.plant.read()
         self._wire.send(bus.State.of(state))
-        if self._ticks % LOOK_EVERY == 0:
+        if self._ticks % self._look_every == 0:
             self._wire.send(bus.Seen(self.world.look()))
         self._ticks += 1
 
@@ -160,6 +162,11 @@ class RobotProcess:
             float(np.abs(state.v).max()), self._slips, self._ticks, self.world.judgement(),
         )  # fmt: skip
         Path(self._settings.report).write_bytes(msgspec.json.encode(report))
+
+
+def looks_every(period: float) -> int:
+    """Ticks from one picture to the next, for a robot whose states come every `period` [s]."""
+    return max(1, round(LOOK_EVERY / period))
 
 
 def main(arguments: list[str]) -> None:
