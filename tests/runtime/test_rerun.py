@@ -17,7 +17,8 @@ from dualbrain.runtime.rerun import Try, verdict
 from dualbrain.runtime.second_opinion import second_opinion
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.remembered import remembered_scene
-from dualbrain.world.scene_spec import check_scene
+from dualbrain.world.scene_spec import Chart, Closed, check_scene
+from tests.world.hall import Hall, drive_to
 
 
 @given(st.integers(1, 12), st.integers(0, 12), st.booleans())
@@ -115,3 +116,29 @@ def test_the_rule_is_told_in_words(tmp_path: Path) -> None:
     words, agrees = verdict(1, 0.001, [Try("failed", None, "")] * 5)
     assert not agrees
     assert words == "0 of 5 tries ended as remembered: too few (a true memory would show that with chance 0.000)"
+
+
+@pytest.mark.parametrize(
+    ("choice", "robot"), [("boxes:1", "base"), ("crossing:2", "base"), ("workroom:0", "mobile_panda")]
+)
+def test_a_remembered_room_has_its_walls_and_what_stands_in_it(choice: str, robot: str) -> None:
+    spec = open_scene(choice, robot)
+    spec = msgspec.structs.replace(spec, chart=Chart(spec.region, (Closed("pit", (1.2, 0.4), (0.3, 0.2), 0.7),)))
+    again = remembered_scene(as_specified(spec), np.random.default_rng(0), spread=0.003)
+    check_scene(again)
+    assert (again.region, again.places) == (spec.region, spec.places)
+    assert {(thing.name, thing.role, thing.shape) for thing in again.things} == {
+        (thing.name, thing.role, thing.shape) for thing in spec.things
+    }
+    assert all(thing.fixed for thing in again.things if thing.role in ("obstacle", "support"))
+    (pit,) = again.chart.closed if again.chart else ()
+    assert (pit.name, pit.middle, pit.half) == ("pit", (1.2, 0.4), (0.3, 0.2))
+    assert pit.yaw == pytest.approx(0.7)
+
+
+def test_a_base_drives_through_a_remembered_room_as_it_did() -> None:
+    spec = remembered_scene(as_specified(open_scene("boxes:1", "base")), np.random.default_rng(0), spread=0.003)
+    hall = Hall(spec=spec)
+    outcome = hall.run(drive_to("shelf"))
+    assert outcome.kind == "succeeded", outcome.reason
+    assert hall.monitor.violations() == ()

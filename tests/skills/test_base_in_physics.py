@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from tests.world.hall import BASE, Hall, drive_to
 
+from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.robot import Command
-from dualbrain.records import Box
+from dualbrain.records import Box, Pose
+from dualbrain.runtime.rules import scene_rules
+from dualbrain.safety.obstacles import Obstacle
 from dualbrain.skills.chassis import wrapped
 from dualbrain.skills.floor_path import clearance, floor_path
 from dualbrain.skills.thought import at_once
@@ -74,6 +77,31 @@ def test_where_no_way_leads_the_skill_says_so_and_stays():
     assert outcome.kind == "failed"
     assert "no way" in outcome.reason
     assert np.linalg.norm(hall.plant.read().q[:2]) < 0.01
+
+
+STORE = Obstacle("store", Box((0.5, 0.6, 0.4)), Pose((1.6, 0.1, 0.4)), margin=0.05, known=True, barrier="keep_out")
+"""A box that a site closes, where nothing is to be seen."""
+
+
+def test_a_way_leads_round_what_the_site_closes():
+    hall = Hall(standing=(STORE,))
+    outcome = hall.run(drive_to("shelf"))
+    assert outcome.kind == "succeeded", outcome.reason
+    inside = np.abs(np.array(hall.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]
+    assert inside.max(axis=1).min() > 0.05, "the axle, and some of the footprint around it"
+    straight = Hall()
+    straight.run(drive_to("shelf"))
+    inside = np.abs(np.array(straight.trace["q"])[:, :2] - STORE.pose.position[:2]) - STORE.shape.half_extents[:2]
+    assert inside.max(axis=1).min() < 0.0, "without the site's word the way leads through it"
+
+
+def test_nobody_is_sent_where_the_site_closes_the_floor():
+    for standing, refused in (((), False), ((STORE,), True)):
+        layer = Hall(standing=standing).layer
+        pose = {"x": 1.6, "y": 0.1, "heading": 1.0, "max_speed": 0.4, "max_turn_rate": 1.0}
+        contract = Contract("c-1", Context("base", ""), (Action("drive_to_pose", pose),))
+        said = [rule(contract) for rule in scene_rules(layer.scene, layer.limb)]
+        assert any(said) == refused
 
 
 def test_without_skills_the_filter_alone_keeps_the_base_from_a_wall():

@@ -70,6 +70,10 @@ class Counted:
     def spheres(self, q, opening):
         return self._safety.spheres(q, opening)
 
+    @property
+    def closed(self):
+        return self._safety.closed
+
     def project(self, *args):
         return self._safety.project(*args)
 

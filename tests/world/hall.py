@@ -17,15 +17,15 @@ BASE = load_body("base")
 
 
 class Hall:
-    def __init__(self, family="empty_room", seed=0, spec=None):
+    def __init__(self, family="empty_room", seed=0, spec=None, standing=()):
         self.spec = spec or make_room(family, seed, "base")
         self.plant = open_plant(self.spec, BASE)
         self.trace = Trace(BASE.n, BASE.width)
         self.world = SimulatedWorld(self.plant, Perception(self.spec, Noise(), np.random.default_rng(seed)))
         self.monitor = self.world.monitor
         self.layer = LocalLayer(
-            BASE, self.plant, self.world, SafetyFilter(BASE), FlightLog(self.trace), LayerConfig(settle=0.1),
-            phase_changed=self.world.allow,
+            BASE, self.plant, self.world, SafetyFilter(BASE, standing=standing), FlightLog(self.trace),
+            LayerConfig(settle=0.1), phase_changed=self.world.allow,
         )  # fmt: skip
 
     def run(self, *actions):

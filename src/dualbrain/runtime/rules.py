@@ -75,7 +75,7 @@ def _on_the_map(contract: Contract, scene: Scene, chassis: Chassis) -> Rejected 
             return Rejected("envelope", pointer, action.params["place"], places, hint)
         if action.skill == "drive_to_pose":
             spot = np.array([float(action.params["x"]), float(action.params["y"])])
-            if float(clearance(scene, spot)) < chassis.radius:
+            if float(clearance(chassis.ground(scene), spot)) < chassis.radius:
                 hint = "the base has no room there: something stands there, or it is off the floor"
                 pointer = f"/action_sequence/{index}/params"
                 return Rejected("envelope", pointer, spot.tolist(), "a free point of the floor", hint)

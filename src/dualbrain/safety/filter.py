@@ -14,6 +14,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.differential_base import arc
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.records import Box, SceneObject
 from dualbrain.safety.batch import Batch, run_batch
 from dualbrain.safety.config import FilterConfig
 from dualbrain.safety.native import make_kernel, obstacle_rows, steepest, tool_frame
@@ -82,6 +83,11 @@ class SafetyFilter:
         groups = {link.name: link.group for link in body.links}
         self._groups = tuple(groups[name] for name in self._names.spheres)
         self._standing = tuple(standing)
+        self.closed = tuple(
+            SceneObject(one.name, "obstacle", one.shape, one.pose, error=one.margin, category="keep_out")
+            for one in self._standing if isinstance(one.shape, Box)
+        )  # fmt: skip
+        """The boxes among what stands there for good, as things, for those who look for ways."""
         if standing:
             self.observe(())
 

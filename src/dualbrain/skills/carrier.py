@@ -107,6 +107,11 @@ class Part:
         mine = np.array([group != BASE_GROUP for group in groups])
         return self.frame.inward(centres[mine]), radii[mine], tuple(g for g, m in zip(groups, mine, strict=True) if m)
 
+    @property
+    def closed(self) -> tuple[SceneObject, ...]:
+        """What the site closes, in the world's frame: of use to the part that drives."""
+        return self._motion.closed
+
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:
         """The projection of this part's wish, the rest of the body wishing to stand still."""
         assert self._state is not None

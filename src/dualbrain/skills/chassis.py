@@ -6,13 +6,14 @@ from collections.abc import Generator, Sequence
 from itertools import pairwise
 from math import atan2, cos, pi, sqrt
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import SceneObject
+from dualbrain.records import Scene, SceneObject
 from dualbrain.skills.floor_path import floor_path
 from dualbrain.skills.person import room_left
 from dualbrain.skills.progress import Progress
@@ -83,6 +84,10 @@ class Chassis:
         q = self.senses.state.q
         return q[:2].copy(), float(q[2])
 
+    def ground(self, scene: Scene) -> Scene:
+        """`scene` with what the site closes standing in it: what a way has to go round."""
+        return msgspec.structs.replace(scene, objects=(*scene.objects, *self._motion.closed))
+
     def see(self, name: str) -> SceneObject:
         """The thing called `name` as perceived now."""
         return self.senses.scene.find(name)
@@ -96,7 +101,7 @@ class Chassis:
     def drive(self, goal: Array, speed: float, rate: float) -> Part:
         """Drive to `goal` (2,) [m] at up to `speed` [m/s] and `rate` [rad/s]; wait for people who cross."""
         here, _ = self.pose
-        path = yield from floor_path(self.senses.scene, here, goal, self.radius)
+        path = yield from floor_path(self.ground(self.senses.scene), here, goal, self.radius)
         if path is None:
             return Ending(Status.FAILED, "no way leads there")
         progress, looked = self._progress(path, speed), self.senses.now
@@ -112,7 +117,8 @@ class Chassis:
                     return why
                 progress = self._progress(path, speed)
             if newer is None and self.senses.now - looked > AGAIN:
-                newer = Aside(floor_path(self.senses.scene, here, goal, self.radius), glances(self.body.period))
+                way = floor_path(self.ground(self.senses.scene), here, goal, self.radius)
+                newer = Aside(way, glances(self.body.period))
             if newer is not None and newer.go_on():
                 path, looked, newer = newer.answer or path, self.senses.now, None
             if why := progress.stuck(self.senses.patience, away + 0.05 * abs(_turn(heading, path, here))):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.embodiment.robot import RobotState
-from dualbrain.records import Scene
+from dualbrain.records import Scene, SceneObject
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,11 @@ class Motion(Protocol):
 
     def spheres(self, q: Array, opening: float) -> tuple[Array, Array, tuple[str, ...]]:
         """Centres (k, 3) [m], radii (k,) [m] and group of every sphere of the body, those of a held thing last."""
+        ...
+
+    @property
+    def closed(self) -> tuple[SceneObject, ...]:
+        """Boxes that nobody perceives and that stay closed for good, by the site's word."""
         ...
 
     def project(self, state: RobotState, u_wish: Array, u_nom_prev: Array, now: float) -> Array:

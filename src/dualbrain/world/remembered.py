@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import atan2
+
 import numpy as np
 
 from dualbrain.linalg import matrix
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, Scene, SceneObject, Shape, Sphere
-from dualbrain.world.scene_spec import Mover, SceneSpec, Thing, check_scene
+from dualbrain.records import Bowl, Box, Capsule, Cylinder, HalfSpace, Scene, SceneObject, Shape, Sphere
+from dualbrain.world.scene_spec import KEEP_OUT, Chart, Closed, Mover, SceneSpec, Thing, check_scene
 
 DENSITY = 400.0
 """Things weigh this much [kg/m³]: neither perception nor memory knows their mass."""
@@ -25,17 +27,33 @@ def remembered_scene(scene: Scene, rng: np.random.Generator, *, spread: float) -
     What it is not: masses, friction and what was not perceived are unknown, so that one try proves little; several with
     different shifts are evidence. Raises `InvalidSetup` for a scene that cannot be simulated.
     """
-    seen = [thing for thing in scene.objects if thing.role in ("object", "container", "obstacle")]
-    things = tuple(_thing(thing, rng.normal(0.0, spread, 2)) for thing in seen)
+    shut = tuple(_closed(thing) for thing in scene.objects if thing.category == KEEP_OUT)
+    seen = [thing for thing in scene.objects if _stands(thing)]
+    things = tuple(_thing(thing, rng.normal(0.0, spread, 2), room=bool(scene.region)) for thing in seen)
     people = [thing for thing in scene.objects if thing.role == "person" and isinstance(thing.shape, Capsule)]
     mover = _mover(people[0]) if people else None
-    spec = SceneSpec(scene.robot, "remembered", 0, things, scene.places, mover)
+    chart = Chart(scene.region, shut) if shut else None
+    spec = SceneSpec(scene.robot, "remembered", 0, things, scene.places, mover, scene.region, chart=chart)
     check_scene(spec)
     return spec
 
 
-def _thing(thing: SceneObject, shift: np.ndarray) -> Thing:
-    fixed = thing.role == "obstacle" and _bottom(thing) > ON_TABLE
+def _stands(thing: SceneObject) -> bool:
+    """Whether it is a body among others: no person, no table top or floor without an end, nothing that a map closes."""
+    return thing.role != "person" and not isinstance(thing.shape, HalfSpace) and thing.category != KEEP_OUT
+
+
+def _closed(thing: SceneObject) -> Closed:
+    """What a map closes, on the floor again."""
+    assert isinstance(thing.shape, Box)
+    (x, y, _), (a, b, _) = thing.pose.position, thing.shape.half_extents
+    w, _, _, z = thing.pose.quaternion
+    return Closed(thing.name, (x, y), (a, b), 2.0 * atan2(z, w))
+
+
+def _thing(thing: SceneObject, shift: np.ndarray, *, room: bool) -> Thing:
+    """In a `room` what is no object stands as if it were fixed: how heavy crates and tables are, nobody has seen."""
+    fixed = (room and thing.role in ("obstacle", "support")) or (thing.role == "obstacle" and _bottom(thing) > ON_TABLE)
     x, y, z = thing.pose.position
     if not fixed:
         x, y = x + float(shift[0]), y + float(shift[1])

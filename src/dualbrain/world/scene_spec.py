@@ -61,6 +61,10 @@ class Mover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     force: float = 150.0
 
 
+KEEP_OUT = "keep_out"
+"""Category of what a map closes, where it stands among the things of a scene."""
+
+
 class Closed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A rectangle of the floor that is kept out of: its `middle` (x, y) and `half` sides [m], turned by `yaw` [rad]."""
 
@@ -120,7 +124,7 @@ def closed_floor(spec: SceneSpec, stamp: float) -> tuple[SceneObject, ...]:
         SceneObject(
             one.name, "obstacle", Box((*one.half, SHUT)),
             Pose((*one.middle, 0.0), (cos(0.5 * one.yaw), 0.0, 0.0, sin(0.5 * one.yaw))),
-            stamp=stamp, category="keep_out", colour="red",
+            stamp=stamp, category=KEEP_OUT, colour="red",
         )
         for one in (spec.chart.closed if spec.chart else ())
     )  # fmt: skip
