@@ -139,6 +139,7 @@ class LocalLayer:
         self._ticks = 0
         self._skill = ""
         self.state = robot.read()
+        self._tool_at, self._tool = self.state, safety.tool(self.state.q)
         self._steady, self._eye = Steady(), SceneWatch()
         self._answer: Filtered | None = None
         self._let_go: tuple[str, float] = ("", -LET_GO)
@@ -369,7 +370,9 @@ class LocalLayer:
             self._leftover.closing_on = ""
 
     def _senses(self) -> Senses:
-        return Senses(self.state, self.scene, self.state.stamp, self.safety.tool(self.state.q), self._waited)
+        if self._tool_at is not self.state:
+            self._tool_at, self._tool = self.state, self.safety.tool(self.state.q)
+        return Senses(self.state, self.scene, self.state.stamp, self._tool, self._waited)
 
     def _unsteady(self) -> tuple[str, ...]:
         """What moves with the hand, or has just left it."""

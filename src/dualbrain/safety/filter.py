@@ -251,7 +251,7 @@ class SafetyFilter:
         Where everything is known, `filter` passes the result bit-identically. Leaves the filter's memory alone.
         """
         state = self._ready(state)
-        u = np.empty(self.body.n)
+        u = np.empty(self._n)
         ages = (now - state.stamp, now - self._stamp)
         try:
             self._kernel.project(
@@ -300,7 +300,7 @@ class SafetyFilter:
 
     def tool(self, q: Array) -> ToolState:
         """The tool frame at joint angles q (n,) [rad], in the world."""
-        n, flat = self.body.n, np.empty(12 + 6 * self.body.n)
+        n, flat = self._n, np.empty(12 + 6 * self._n)
         self._kernel.tool(self._joints(q), flat)
         return ToolState(flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(6, n))
 

@@ -116,7 +116,7 @@ class Spine:
 
     def _behind(self, now: float, stamp: float) -> int:
         """Bits for commands that stay in force too long, as the robot's stamps and the layer's clock both have it."""
-        moving = bool(np.abs(self._u).max() > self.enforcement.dials.rest)
+        moving = max(map(abs, self._u.tolist())) > self.enforcement.dials.rest
         behind = self.lateness.update(now, stamp, moving=moving)
         return Condition.LOOP_BEHIND if behind > self.watch.timing.behind else 0
 

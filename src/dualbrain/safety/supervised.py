@@ -25,8 +25,8 @@ ROUNDING = 1e-3
 
 def intervention(result: Filtered, u: Array, u_nom: Array) -> float:
     """δ of `u` against `u_nom`, each (n,) [rad/s], as in the kernel."""
-    gap = (u - u_nom) / np.array(result.names.v_max)
-    return min(sqrt(float(np.mean(gap * gap))), LARGEST)
+    gaps = [(a - b) / most for a, b, most in zip(u.tolist(), u_nom.tolist(), result.names.v_max, strict=True)]
+    return min(sqrt(sum(gap * gap for gap in gaps) / len(gaps)), LARGEST)
 
 
 def answers(result: Filtered, u_nom: Array) -> bool:

@@ -60,21 +60,19 @@ class Watch:
         self._bolted = slice(3 if body.mobile else 0, None)
         """Where the joints with a range lie in q; a base may be anywhere."""
         ranged = joints[2:] if body.mobile else joints
-        self._low = np.array([joint.lower.value for joint in ranged]) - BEYOND
-        self._high = np.array([joint.upper.value for joint in ranged]) + BEYOND
-        self._fastest = np.array([joint.velocity.value for joint in joints])
+        self._ranges = [(joint.lower.value - BEYOND, joint.upper.value + BEYOND) for joint in ranged]
+        self._swift = [self.bounds.speed * joint.velocity.value for joint in joints]
+        self._most = [1.001 * joint.velocity.value for joint in joints]
         self._lag = max(body.tracking.lag, timing.period)
         self._n = body.n
         self._last: RobotState | None = None
         self._good: RobotState | None = None
-        self._u = np.zeros(body.n)
+        self._u = [0.0] * body.n
         self.start()
 
     def start(self) -> None:
         """Forget the gaps: the drive was off, or a person moved the arm."""
-        self._followed = np.zeros(self._n)
-        self._source = np.zeros(self._n)
-        self._command = np.zeros(self._n)
+        self._followed, self._source, self._command = ([0.0] * self._n for _ in range(3))
 
     # --- joint states -------------------------------------------------------------------------------------------
 
@@ -99,53 +97,57 @@ class Watch:
 
     def _plausible(self, state: RobotState) -> int:
         """Finite, in range, no jump; then it is compared with velocities and commands."""
-        q, v = state.q, state.v
-        numbers = np.isfinite(q).all() and np.isfinite(v).all() and isfinite(state.opening) and isfinite(state.stamp)
-        joints = q[self._bolted]
-        if not numbers or (joints < self._low).any() or (joints > self._high).any():
+        q, v = state.q.tolist(), state.v.tolist()
+        ranged = zip(q[self._bolted], self._ranges, strict=True)
+        if not all(map(isfinite, (*q, *v, state.opening, state.stamp))) or not all(a <= x <= b for x, (a, b) in ranged):
             return C.STATE_IMPLAUSIBLE
         last, self._good = self._good, state
         if last is None:
             return 0
         dt = state.stamp - last.stamp
         if not 0.0 < dt < inf:
-            return C.STATE_IMPLAUSIBLE if (q != last.q).any() else 0
+            return C.STATE_IMPLAUSIBLE if q != last.q.tolist() else 0
         if dt > self.timing.blind:  # nothing can be compared across such a gap
             self.start()
             return 0
-        moved = driven_by(last.q, q) if len(q) > self._n else q - last.q
-        if (np.abs(moved) > self.bounds.speed * self._fastest * dt + self.bounds.jump).any():
+        moved = (driven_by(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
+        if any(abs(x) > fast * dt + self.bounds.jump for x, fast in zip(moved, self._swift, strict=True)):
             return C.STATE_IMPLAUSIBLE
-        fast = C.OVERSPEED if (np.abs(v) > self.bounds.speed * self._fastest).any() else 0
-        return fast | self._compare(moved, 0.5 * (v + last.v), dt, driven=state.drive_enabled)
+        flags = C.OVERSPEED if any(abs(x) > fast for x, fast in zip(v, self._swift, strict=True)) else 0
+        return flags | self._compare(moved, (0.5 * (state.v + last.v)).tolist(), dt, driven=state.drive_enabled)
 
-    def _compare(self, moved: Array, v: Array, dt: float, *, driven: bool) -> int:
+    def _compare(self, moved: list[float], v: list[float], dt: float, *, driven: bool) -> int:
         keep = max(0.0, 1.0 - dt / self.bounds.leak)
-        self._source *= keep
-        self._source += moved - v * dt
-        flags = C.SOURCES_DISAGREE if np.abs(self._source).max() > self.bounds.agree else 0
+        self._source = [e * keep + (x - rate * dt) for e, x, rate in zip(self._source, moved, v, strict=True)]
+        flags = C.SOURCES_DISAGREE if largest(self._source) > self.bounds.agree else 0
         if not driven:
-            self._followed[:] = self._command[:] = 0.0
+            self._followed, self._command = [0.0] * self._n, [0.0] * self._n
             return flags
-        self._followed += (self._u - self._followed) * min(1.0, dt / self._lag)
-        self._command *= keep
-        self._command += moved - self._followed * dt
-        gap = np.abs(self._command).max()
+        share = min(1.0, dt / self._lag)
+        self._followed = [w + (u - w) * share for w, u in zip(self._followed, self._u, strict=True)]
+        self._command = [e * keep + (x - w * dt) for e, x, w in zip(self._command, moved, self._followed, strict=True)]
+        gap = largest(self._command)
         if gap > self.bounds.lost:
             return flags | C.TRACKING_OFF | C.TRACKING_LOST
         return flags | C.TRACKING_OFF if gap > self.bounds.follow else flags
 
     def commanded(self, u: Array) -> int:
         """Bits for the control (n,) [rad/s] that is about to be written; independent of the filter's own checker."""
-        if not np.isfinite(u).all() or (np.abs(u) > 1.001 * self._fastest).any():
+        wanted = u.tolist()
+        if not all(abs(x) <= most for x, most in zip(wanted, self._most, strict=True)):  # nor is a NaN
             return C.CONTROL_BAD
-        self._u = u
+        self._u = wanted
         return 0
 
     @property
     def gaps(self) -> tuple[float, float]:
         """The largest gap [rad] of each kind now: between sources, and to the commands."""
-        return float(np.abs(self._source).max()), float(np.abs(self._command).max())
+        return largest(self._source), largest(self._command)
+
+
+def largest(values: list[float]) -> float:
+    """The largest size."""
+    return max(map(abs, values))
 
 
 STALE = int(Reason.STALE_SCENE)

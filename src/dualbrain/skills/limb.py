@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +118,8 @@ class Limb:
         while True:
             tool, state, now = self.senses.tool, self.senses.state, self.senses.now
             distance = self._distance(goal)
-            turn = float(np.linalg.norm(rotation_error(tool.rotation, goal.rotation)))
+            error = rotation_error(tool.rotation, goal.rotation)
+            turn = sqrt(float(error @ error))
             if distance < near and turn < turned:
                 return None
             if (height := self.threatened(tool.position)) is not None:
@@ -267,7 +269,8 @@ class Limb:
         return self._threat
 
     def _distance(self, goal: Goal) -> float:
-        return float(np.linalg.norm(goal.position - self.senses.tool.position))
+        away = goal.position - self.senses.tool.position
+        return sqrt(float(away @ away))
 
     def reconsider(self, u: Array) -> Array:
         """u_nom (n,) [rad/s] once more, because what φ knows changed since this tick's was made."""
