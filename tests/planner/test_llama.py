@@ -14,8 +14,9 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.planner import prompt, protocol
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.registry import SMALL_PLANNER
+from dualbrain.records import Recall
 from dualbrain.weights import default_cache, locate
-from tests.planner.questions import NAMES, REGISTRY, request
+from tests.planner.questions import NAMES, REGISTRY, exemplar, request
 
 pytestmark = pytest.mark.llm
 
@@ -127,6 +128,11 @@ def test_the_next_process_need_not_read_the_prefix_again(weights: Path, tmp_path
         planner.close()
     assert [p.timings["cached_tokens"] > 0.7 * p.timings["prompt_tokens"] for p in proposals] == [False, True]
     assert proposals[0].text == proposals[1].text
+    assert len(list(tmp_path.glob("*.slot"))) == 1
+    planner = LlamaPlanner(SMALL_PLANNER, weights, config)
+    asked = request(schema={"properties": {"action_sequence": endings}}, recall=Recall(exemplars=(exemplar(),)))
+    assert planner.propose(asked).timings["cached_tokens"] > 100, "the rules stand before what memory recalls"
+    planner.close()
     assert len(list(tmp_path.glob("*.slot"))) == 1
 
 

@@ -1,12 +1,13 @@
 """A kept state is found only by who left it: same model, adapters, scales, context size, template and beginning."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from dualbrain.planner.asking import FULL, SHORT
 from dualbrain.planner.llama_process import Worn
-from dualbrain.planner.prefix import PrefixStore
+from dualbrain.planner.prefix import KEPT, PrefixStore
 from dualbrain.records import Recall
 from tests.planner.fake_server import says, serve
 from tests.planner.questions import exemplar, request
@@ -39,6 +40,37 @@ def test_every_part_of_it_names_another_file(model):
     model.write_bytes(b"other weights")
     found.append(store(model).path(request()))
     assert len({first, *found}) == len(found) + 1
+
+
+def test_a_state_of_the_same_rules_serves_under_other_exemplars_and_none_of_other_rules_does(model):
+    recalled = request(recall=Recall(exemplars=(exemplar(),)))
+    with serve(says(b"{}")) as server:
+        one = store(model, server.url.removesuffix("/v1"))
+        assert not one.restore(recalled)
+        one.path(request()).write_bytes(b"state")
+        assert one.restore(recalled)
+        assert one.rules(recalled) == one.rules(request())
+        assert not one.save(recalled), "exemplars change from question to question"
+        assert one.rules(request(robot="base")) != one.rules(request())
+        assert not one.restore(request(robot="base"))
+        assert one.save(request(robot="base"))
+    assert server.asked[0][1]["filename"] == one.path(request()).name
+
+
+def test_only_the_newest_states_of_a_model_are_kept(model):
+    other = model.with_name("other-1.slot")
+    other.write_bytes(b"of another model")
+    with serve(says(b"{}")) as server:
+        one = store(model, server.url.removesuffix("/v1"))
+        names = []
+        for k in range(KEPT + 2):
+            asked = request(robot=f"robot_{k}")
+            one.save(asked)
+            one.path(asked).write_bytes(b"state")
+            os.utime(one.path(asked), (k, k))
+            names.append(one.path(asked))
+    assert [path.is_file() for path in names] == [False] * 2 + [True] * KEPT
+    assert other.is_file()
 
 
 def test_a_state_of_another_adapter_is_not_restored(model):

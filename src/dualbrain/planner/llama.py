@@ -80,14 +80,15 @@ class LlamaPlanner:
         child = self._child = self._child or self._start()
         address, failure = child.address(self._config.timeout_s)
         store = self._store(child, address)
-        if not (failure or child.asked):
+        rules = store.rules(request)
+        if not failure and child.asked != rules:
             store.restore(request)
         loaded = self._clock()
         left = self._config.timeout_s - (loaded - begun)
         answer = failure or ask(f"{address}/v1/chat/completions", body, key=child.key, timeout_s=left)
         answer = self._after(child, request, answer)
-        if answer.finish == protocol.STOP and not child.asked:
-            child.asked = True
+        if answer.finish == protocol.STOP and child.asked != rules:
+            child.asked = rules
             store.save(request)
         timings = {"load": loaded - begun, **answer.figures, "total": self._clock() - begun}
         finish = f"{answer.finish}: {answer.detail}" if answer.detail else answer.finish

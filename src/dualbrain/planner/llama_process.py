@@ -55,7 +55,8 @@ class LlamaProcess:
     def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[Worn, ...] = ()) -> None:
         """Start it; it loads while the caller goes on."""
         self.key = secrets.token_urlsafe(24)
-        self.asked = False
+        self.asked: str | None = None
+        """The rules that it has read last, as `PrefixStore.rules` tells them."""
         self._address = ""
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_CHILD)],

@@ -2,14 +2,17 @@
 
 Reading the rules and examples costs a small machine a minute; restoring the state costs milliseconds (30 KB a token). A
 state is valid only for the same model, adapters, scales, runtime and text, so the file is named by the hash of them
-all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). A server that
-cannot restore it reads the prompt as if there were none.
+all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). The name has
+two parts, one for the rules and one for the examples after them: where recalled exemplars stand in their place, a state
+with the same rules serves as well, and the server reads on from where the two part. A server that cannot restore it
+reads the prompt as if there were none.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,6 +23,8 @@ from dualbrain.planner.request import PlanRequest
 
 _LIMIT_S = 20.0
 """For one save or restore [s]."""
+KEPT = 6
+"""States of one model that are kept, of some 30 MB each: one for each robot, with and without exemplars."""
 
 
 class PrefixStore:
@@ -33,19 +38,20 @@ class PrefixStore:
         self._asking, self._adapters = asking, adapters
 
     def restore(self, request: PlanRequest) -> bool:
-        """Load the state for `request`, if there is one."""
+        """Load a state for `request`, if there is one: of the same beginning, else the newest of the same rules."""
         path = self.path(request)
-        return path is not None and path.is_file() and self._tell("restore", path)
+        found = [] if path is None else [path] if path.is_file() else self._of_rules(path)
+        return bool(found) and self._tell("restore", found[0])
 
     def save(self, request: PlanRequest) -> bool:
-        """Keep the state that the server has after answering `request`, in place of older ones of the same model.
+        """Keep the state that the server has after answering `request`, and no more than `KEPT` of the model.
 
-        Only while memory is empty: recalled exemplars change from question to question.
+        Recalled exemplars change from question to question: with them it is kept only where none has the same rules.
         """
         path = self.path(request)
-        if path is None or path.is_file() or request.recall.exemplars:
+        if path is None or path.is_file() or (request.recall.exemplars and self._of_rules(path)):
             return False
-        for old in path.parent.glob(f"{self._model.stem}-*.slot"):
+        for old in _newest_first(path.parent.glob(f"{self._model.stem}-*.slot"))[KEPT - 1 :]:
             old.unlink()
         return self._tell("save", path)
 
@@ -57,10 +63,31 @@ class PrefixStore:
         model: list[object] = [self._model.name, state.st_size, state.st_mtime_ns, self._n_ctx, version("xllamacpp")]
         model += [[one.id, one.scale] for one in self._adapters]
         prefix = self._asking.messages(request)[:-1]
-        digest = hashlib.sha256(json.dumps([model, prefix]).encode()).hexdigest()[:24]
-        return self._folder / f"{self._model.stem}-{digest}.slot"
+        return self._folder / f"{self._model.stem}-{_digest([model, prefix[:1]])}-{_digest(prefix[1:])}.slot"
+
+    def rules(self, request: PlanRequest) -> str:
+        """What tells whether two requests begin alike: "" without a folder."""
+        path = self.path(request)
+        return "" if path is None else _rules(path)
+
+    def _of_rules(self, path: Path) -> list[Path]:
+        """States with the same rules as `path`, the newest first."""
+        return _newest_first(path.parent.glob(f"{_rules(path)}-*.slot"))
 
     def _tell(self, action: str, path: Path) -> bool:
         url = f"{self._address}/slots/0?action={action}"
         answer = post(url, json.dumps({"filename": path.name}).encode(), key=self._key, timeout_s=_LIMIT_S)
         return isinstance(answer, tuple) and answer[0] == 200
+
+
+def _digest(told: object) -> str:
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+
+
+def _rules(path: Path) -> str:
+    """The part of a file's name that stands for the model and the rules."""
+    return path.stem.rpartition("-")[0]
+
+
+def _newest_first(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True)
