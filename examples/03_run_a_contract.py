@@ -12,7 +12,8 @@ import numpy as np
 from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.simulated import SimulatedWorld

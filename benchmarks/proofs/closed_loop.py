@@ -15,7 +15,8 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.records import Judgement, Outcome
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.control_tick import LayerConfig, Moment
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.simulated import SimulatedWorld

@@ -17,7 +17,8 @@ from dualbrain.memory.store import Memory
 from dualbrain.records import Episode
 from dualbrain.runtime import local_layer
 from dualbrain.runtime import recorder as recorder_module
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.recording import recording_state

@@ -7,8 +7,9 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import at_home
 from dualbrain.records import Box, Pose, Scene, SceneObject
+from dualbrain.runtime.control_tick import LayerConfig
 from dualbrain.runtime.leftover import CLEAR, Leftover
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.trace import Trace

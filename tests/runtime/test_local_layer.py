@@ -9,7 +9,8 @@ import pytest
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import at_home
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.trace import Trace
 from dualbrain.safety.filter import SafetyFilter

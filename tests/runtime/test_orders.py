@@ -7,7 +7,8 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.trace import Trace

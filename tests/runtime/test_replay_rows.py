@@ -8,7 +8,8 @@ from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import at_home
 from dualbrain.runtime import replay as replay_module
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.recording import FilterCall, read_recording

@@ -8,8 +8,9 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.differential_base import driven_by
 from dualbrain.embodiment.robot import Command
 from dualbrain.records import UPRIGHT
+from dualbrain.runtime.control_tick import LayerConfig
 from dualbrain.runtime.desk import as_specified, limb_at_home
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.simulated import SimulatedWorld

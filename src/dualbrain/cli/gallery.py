@@ -12,7 +12,7 @@ from dualbrain.dashboard.evaluation_report import Shot
 from dualbrain.evaluation.again import Watching, again
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
-from dualbrain.runtime.local_layer import Moment
+from dualbrain.runtime.control_tick import Moment
 from dualbrain.world.pictures import Camera
 
 

@@ -16,9 +16,9 @@ from dualbrain.dashboard.live_buttons import OperatorBoard
 from dualbrain.dashboard.live_panel import spoken_speeds
 from dualbrain.dashboard.view_state import ViewState
 from dualbrain.records import Episode, Scene
+from dualbrain.runtime.control_tick import Moment
 from dualbrain.runtime.gatekeeper.messages import Glimpse
 from dualbrain.runtime.live_session import LiveSession
-from dualbrain.runtime.local_layer import Moment
 from dualbrain.runtime.session import Session
 from dualbrain.runtime.trace import DEAD_BAND, Event
 from dualbrain.safety.filter import SafetyFilter

@@ -13,7 +13,7 @@ from dualbrain.evaluation.suite import Suite
 from dualbrain.memory.picture import Picture
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
-from dualbrain.runtime.local_layer import Moment
+from dualbrain.runtime.control_tick import Moment
 from dualbrain.world.plant import Plant
 
 

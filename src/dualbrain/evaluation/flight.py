@@ -22,9 +22,10 @@ from dualbrain.memory.picture import Picture
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, Outcome
+from dualbrain.runtime.control_tick import LayerConfig, Moment
 from dualbrain.runtime.episode import Door, Errand, Experience, Witness, run_episode
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.thinking import PLANNING_TIME, Thinking

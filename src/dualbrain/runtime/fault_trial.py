@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.records import Violation
+from dualbrain.runtime.control_tick import LayerConfig
 from dualbrain.runtime.door_trial import attend
 from dualbrain.runtime.faults import Fault, FaultyRobot, FaultyWorld, Injector, break_filter, faulty_clock
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.trace import Event, Trace

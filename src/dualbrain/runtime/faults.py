@@ -19,7 +19,7 @@ from dualbrain.embodiment.body import Body
 from dualbrain.embodiment.robot import Command, Robot, RobotState
 from dualbrain.errors import UnknownName
 from dualbrain.records import Pose, Scene, SceneObject
-from dualbrain.runtime.local_layer import Surroundings
+from dualbrain.runtime.control_tick import Surroundings
 from dualbrain.safety.filter import Filtered, SafetyFilter
 from dualbrain.safety.order import Rung
 

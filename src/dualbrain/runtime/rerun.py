@@ -25,7 +25,8 @@ from dualbrain.memory.ledger import LedgerReader
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.state import Memo
 from dualbrain.records import Outcome, Scene
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.runtime.second_opinion import second_opinion

@@ -9,7 +9,7 @@ from pathlib import Path
 from dualbrain.memory.store import StoreReport
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
-from dualbrain.runtime.local_layer import Moment
+from dualbrain.runtime.control_tick import Moment
 from dualbrain.runtime.thinking import Clock
 from dualbrain.runtime.trace import Event, Trace
 

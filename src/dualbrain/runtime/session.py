@@ -35,10 +35,11 @@ from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode, Passage, Setback
 from dualbrain.runtime.charted import charted
 from dualbrain.runtime.consulting import consult
+from dualbrain.runtime.control_tick import LayerConfig
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.episode import Errand, Witness, run_episode
 from dualbrain.runtime.given import GivenContract
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.replanning import Tried, tried

@@ -16,6 +16,7 @@ from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.embodiment.body import Body
 from dualbrain.records import Outcome
+from dualbrain.runtime.control_tick import LayerConfig, Moment
 from dualbrain.runtime.gatekeeper.capability import Capability
 from dualbrain.runtime.gatekeeper.clerk import Case, Clerk, Ruling
 from dualbrain.runtime.gatekeeper.door import Door, Peer
@@ -38,7 +39,7 @@ from dualbrain.runtime.gatekeeper.messages import (
 )
 from dualbrain.runtime.gatekeeper.seals import Keys, genuine, proven
 from dualbrain.runtime.gatekeeper.wired import Wired
-from dualbrain.runtime.local_layer import LayerConfig, LocalLayer, Moment
+from dualbrain.runtime.local_layer import LocalLayer
 from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.recorder import Recorder
 from dualbrain.runtime.trace import Event, Trace

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.embodiment.robot import Robot
-from dualbrain.runtime.local_layer import Surroundings
+from dualbrain.runtime.control_tick import Surroundings
 
 
 class Wired(Robot, Surroundings, Protocol):
