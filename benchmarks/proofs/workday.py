@@ -40,11 +40,9 @@ from dualbrain.runtime.vocabulary import PLANNER, scene_names
 from dualbrain.skills.vocabulary import registry_of
 from proofs.closed_loop import errand
 
-INSTRUCTIONS = (
-    "put the red cube in the bowl", "put the red cube on the left of the table", "put the yellow block in the bowl",
-    "put the red cube on the right of the table",
-)  # fmt: skip
-DESTINATIONS = ("table_left", "blue_bowl", "table_right")
+INSTRUCTIONS = ("put the red cube on the left of the table", "put the red cube on the right of the table")
+DESTINATIONS = ("table_left", "table_right")
+"""To and fro, and never into the bowl: a cube that lies in there cannot be grasped, and the day would be over."""
 SPEED = 0.3
 LONGEST = 120.0
 """No contract takes longer [s]."""
