@@ -14,6 +14,7 @@ from proofs.kernel import Kernel
 from proofs.kills import Kills
 from proofs.language import Language
 from proofs.learning import Learning
+from proofs.outsider import Outsider
 from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
 from proofs.poisoning import Poisoning
@@ -31,6 +32,7 @@ PROOFS: dict[str, Proof] = {
         Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
         PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
         Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(),
+        Outsider(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""
