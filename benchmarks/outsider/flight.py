@@ -63,7 +63,7 @@ class Course:
             "time": round(self.time, 3), "ended": self.ended, "pushed": round(self.pushed, 5), "apart": self.apart,
             "asked": round(float(np.max(np.abs(log.u) / FASTEST)), 4),
             "speed": round(float(np.max(np.abs(log.v) / FASTEST)), 4),
-            "error": round(float(np.abs(error).max()), 7), "steps": len(log.u),
+            "strayed": round(float(np.abs(error).max()), 7), "steps": len(log.u),
         }  # fmt: skip
         if self.status:
             found |= {

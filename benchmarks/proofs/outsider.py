@@ -183,8 +183,8 @@ def _tracking(rows: list[Row]) -> list[str]:
     apart = max(row["apart"] for row in rows)
     if not filtered:
         return [f"The two models of the arm agree within {apart * 1e3:.4f} mm."]
-    allowed, worst = filtered[0]["allowed_error"], max(row["error"] for row in filtered)
-    within = sum(row["error"] <= row["allowed_error"] for row in filtered)
+    allowed, worst = filtered[0]["allowed_error"], max(row["strayed"] for row in filtered)
+    within = sum(row["strayed"] <= row["allowed_error"] for row in filtered)
     versions = ", ".join(f"{name} {version}" for name, version in rows[0]["versions"].items())
     return [
         f"{versions}. The two models of the arm agree within {apart * 1e3:.4f} mm. The filter was told of "

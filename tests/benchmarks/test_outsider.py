@@ -9,6 +9,7 @@ from outsider.account import FASTEST, LOWER, UPPER, Account
 from outsider.child import Suite, Thing
 from outsider.environment import COMMAND, python_in, wanted
 from outsider.flight import FASTEST as KNOWN
+from outsider.flight import Course
 from outsider.messages import HEAD, LONGEST, Broken, receive, send
 from outsider.policies import PACES, TASKS, BangBang, Script, across
 from outsider.scene import standing
@@ -204,6 +205,20 @@ def test_the_filter_is_told_less_than_the_data_sheet_says():
     SafetyFilter(told)
 
 
+def test_a_flights_figures_are_shares_of_the_data_sheet_and_no_unit_is_called_broken():
+    body, course = commissioned(PERIOD), Course(delta=[0.0, 1.0], status=[0, 1])
+    for k in range(2):
+        course.q.append(np.full(7, k * PERIOD))
+        course.v.append(np.ones(7))
+        course.u.append(2.0 * FASTEST)
+    figures = course.figures(body)
+    assert figures["asked"] == 2.0
+    assert figures["speed"] == pytest.approx(1.0 / FASTEST.min(), abs=1e-4)
+    assert figures["delta"] == 0.5
+    assert figures["status"] == [1, 1, 0, 0, 0]
+    assert "error" not in figures
+
+
 def test_a_missing_environment_says_what_to_do(tmp_path, monkeypatch):
     with pytest.raises(MissingPart, match=COMMAND):
         python_in(tmp_path)
@@ -224,7 +239,7 @@ def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_of_them(tmp_path):
 def made_up(unit, **changed):
     row = {
         "key": unit.key, **unit.about, "success": True, "first_success": 1.0, "breaches": [], "saturated": 0.0,
-        "time": 3.0, "ended": "", "pushed": 0.0, "apart": 1e-7, "asked": 0.5, "speed": 0.5, "error": 1e-4,
+        "time": 3.0, "ended": "", "pushed": 0.0, "apart": 1e-7, "asked": 0.5, "speed": 0.5, "strayed": 1e-4,
         "steps": 100, "lag": 0.002, "allowed_error": 1e-3, "versions": {"robosuite": "1"},
     }  # fmt: skip
     if unit.about["how"] == "filtered":
