@@ -18,16 +18,10 @@ from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
 
 SEEDS = 20
-CELLS = (
-    ("Lift", "hasty", ("unfiltered", "filtered")),
-    ("Stack", "hasty", ("unfiltered", "filtered")),
-    ("Lift", "careful", ("unfiltered", "filtered")),
-    ("Stack", "careful", ("unfiltered", "filtered")),
-    ("Lift", "random", ("unfiltered", "filtered")),
-    ("Lift", "hasty", ("clipped",)),
-    ("Stack", "hasty", ("clipped",)),
-)
-"""Task, policy and how it is flown; at a seed all of them see the same start."""
+BOTH = ("unfiltered", "filtered")
+CELLS = (("Lift", "hasty", BOTH), ("Stack", "hasty", BOTH), ("Lift", "careful", BOTH), ("Stack", "careful", BOTH))
+CONTROLS = (("Lift", "random", BOTH), ("Lift", "hasty", ("clipped",)), ("Stack", "hasty", ("clipped",)))
+"""Task, policy and how it is flown; at a seed all of them see the same start. The controls come last."""
 BATCH = 5
 """Seeds of one cell in a row."""
 
@@ -46,8 +40,9 @@ class Outsider:
         del options
         return [
             Unit(f"{task} {policy} {how} {seed}", {"task": task, "policy": policy, "how": how, "seed": seed})
+            for cells in (CELLS, CONTROLS)
             for first in range(0, SEEDS, BATCH)
-            for task, policy, hows in CELLS
+            for task, policy, hows in cells
             for seed in range(first, first + BATCH)
             for how in hows
         ]
@@ -106,7 +101,7 @@ def peaks(rows: Iterable[Row]) -> dict[str, float]:
 
 
 def _keys() -> list[tuple[str, str, str]]:
-    found = {(task, policy, how) for task, policy, hows in CELLS for how in hows}
+    found = {(task, policy, how) for task, policy, hows in (*CELLS, *CONTROLS) for how in hows}
     return sorted(found, key=lambda key: (key[1], key[0], HOWS.index(key[2])))
 
 

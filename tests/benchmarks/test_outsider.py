@@ -14,7 +14,7 @@ from outsider.messages import HEAD, LONGEST, Broken, receive, send
 from outsider.policies import PACES, TASKS, BangBang, Script, across
 from outsider.scene import standing
 from outsider.tracking import ACCELERATION, SPEED, agreed, commissioned
-from proofs.outsider import CELLS, SEEDS, Outsider
+from proofs.outsider import CELLS, CONTROLS, SEEDS, Outsider
 from proofs.proof import Options
 
 from dualbrain.embodiment.body import load_body
@@ -228,12 +228,15 @@ def test_a_missing_environment_says_what_to_do(tmp_path, monkeypatch):
     assert all("==" in package for package in wanted())
 
 
-def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_of_them(tmp_path):
+def test_every_cell_has_as_many_seeds_and_a_prefix_has_all_cells_with_a_task(tmp_path):
     units = Outsider().units(Options(tmp_path, ""))
     flown = [(u.about["task"], u.about["policy"], u.about["how"]) for u in units]
-    cells = {(task, policy, how) for task, policy, hows in CELLS for how in hows}
-    assert all(flown.count(cell) == SEEDS for cell in cells)
-    assert set(flown[: len(units) // 4]) == cells
+    main, controls = (
+        {(task, policy, how) for task, policy, hows in cells for how in hows} for cells in (CELLS, CONTROLS)
+    )
+    assert all(flown.count(cell) == SEEDS for cell in main | controls)
+    assert set(flown[: SEEDS * len(main) // 4]) == main
+    assert set(flown[SEEDS * len(main) :]) == controls
 
 
 def made_up(unit, **changed):
