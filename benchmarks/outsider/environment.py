@@ -2,7 +2,7 @@
 
 Run: python benchmarks/outsider/environment.py
 
-Installs robosuite 1.5.2, MuJoCo 3.3.7 and NumPy 1.26.4 with what they need (0.9 GB on disk) and nothing of dualbrain.
+Installs robosuite 1.5.2, MuJoCo 3.3.7 and NumPy 1.26.4 with what they need (1.3 GB on disk) and nothing of dualbrain.
 What is done is not done again: the environment carries the digest of the requirements that it was made from.
 """
 
