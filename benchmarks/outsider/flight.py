@@ -20,7 +20,7 @@ from outsider.tracking import disagreement, measured
 
 Array = NDArray[np.float64]
 
-LONGEST = 15.0
+LONGEST = 30.0
 """A flight ends after this at the latest [s]."""
 ANYWHERE = 5.0
 """How long a policy without a task flies [s]."""

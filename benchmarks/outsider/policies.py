@@ -26,8 +26,8 @@ GRASP = 0.0
 """Height of the tool over the cube's middle when it takes it [m]; the pads of the suite's fingers sit 1 cm higher."""
 ON_TOP = 0.045
 """Between the middles of a cube of 4 cm and of the one of 5 cm that it stands on [m]."""
-PATIENCE = 2.5
-"""After this the next way point is taken, reached or not [s]."""
+PATIENCE = 10.0
+"""After this the next way point is taken, reached or not [s]: long, as a filtered arm may be much slower."""
 
 
 @dataclass(frozen=True, slots=True)
