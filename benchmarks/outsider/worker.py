@@ -210,6 +210,8 @@ def main() -> None:
         if not isinstance(ask, dict):
             send(answers, suite.step(ask))
         elif ask["do"] == "open":
+            if suite is not None:
+                suite.env.close()
             suite = Suite(ask["task"], ask["seed"])
             send(answers, suite.about())
         elif ask["do"] == "sites":
