@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from dualbrain.records import Pose
 from outsider.environment import python_in
-from outsider.messages import receive, send
+from outsider.messages import Broken, receive, send
 
 Array = NDArray[np.float64]
 
@@ -21,7 +22,8 @@ BENCHMARKS = Path(__file__).resolve().parents[1]
 ALONE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MUJOCO_GL": "disable", "PYTHONWARNINGS": "ignore"}
 PATIENCE = 300.0
 """How long an answer may take on a busy machine [s]."""
-JOINTS = 7
+LAST_WORDS = 600
+"""Characters of its stderr that are told when the suite's process has ended."""
 
 
 class State(msgspec.Struct, frozen=True, eq=False):
@@ -62,9 +64,10 @@ class Suite:
         """Start it; raises `MissingPart` where its environment is not made."""
         python = python_in()
         own = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process, see close)
         self._process = subprocess.Popen(
             [str(python), "-m", "outsider.worker"], cwd=BENCHMARKS, env=own | ALONE | {"PYTHONPATH": str(BENCHMARKS)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, bufsize=0,
         )  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -87,7 +90,7 @@ class Suite:
     def step(self, u: Array, closed: bool) -> State:
         """Drive at u (7,) [rad/s] for one period, fingers closing or opening; the state after it."""
         send(self._ask, np.r_[u, 1.0 if closed else -1.0])
-        answer = receive(self._answer, PATIENCE)
+        answer = self._heard()
         assert not isinstance(answer, dict)
         return self.read(answer)
 
@@ -110,11 +113,19 @@ class Suite:
         """End the process."""
         self._process.kill()
         self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
+        for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream is not None:
                 stream.close()
 
     def _words(self) -> dict[str, Any]:
-        answer = receive(self._answer, PATIENCE)
+        answer = self._heard()
         assert isinstance(answer, dict)
         return answer
+
+    def _heard(self) -> dict[str, Any] | Array:
+        try:
+            return receive(self._answer, PATIENCE)
+        except Broken as why:
+            self._errors.seek(0)
+            said = self._errors.read().decode("utf-8", "replace")[-LAST_WORDS:].strip()
+            raise Broken(f"{why}; the suite's last words: {said or 'none'}") from None
