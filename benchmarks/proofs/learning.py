@@ -34,11 +34,12 @@ from proofs.proof import Options, Row, Unit
 from proofs.runs import GOAL, planner_of
 from proofs.steps import carry_on
 
-SCENES, SEEDS, REPETITIONS, FIRST = ("tall:301", "tabletop:302", "shelf:303"), 5, 30, 6
+SCENES, SEEDS, REPETITIONS, FIRST = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
+"""Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""
 WORDS = "put the red cube in the bowl"
 GRID: dict[str, tuple[Any, ...]] = {
-    "clearance": (0.1, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
-    "route": ("direct", "near_base", "left", "right"), "opening": (0.07, 0.08),
+    "clearance": (0.08, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
+    "route": ("direct", "near_base", "left", "right"), "opening": (0.055, 0.08),
 }  # fmt: skip
 BEGAN, BETWEEN_S = 1_795_000_000.0, 240.0
 """Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
