@@ -1,8 +1,8 @@
 """learning: one scene thirty times, with weights that learn and with weights that stand still, from the same start.
 
 Each seed has a start of its own: six contracts with random valid parameters, carried out in the scene and stored by the
-robot's own verdict. Both arms begin with a copy of that ledger, so that only w differs. Nothing reads simulator truth
-but the table.
+robot's own verdict. Both arms begin with a copy of that ledger, so that only w differs; ε is the median Δ of its
+successes. Nothing reads simulator truth but the table.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from dualbrain.cli import folders
 from dualbrain.memory.derive import derive
 from dualbrain.memory.ledger import LedgerReader
+from dualbrain.memory.plasticity import Plasticity
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode
 from dualbrain.runtime.given import GivenContract
@@ -75,7 +76,8 @@ class Learning:
         place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
         planner, arm = planner_of(about["planner"]), f"{place} {about['arm']}, {_plain(about['planner'])}"
         start = carry_on(folder / f"{place} start", FIRST, lambda number, here: _begin(here, about, number))
-        repeat = partial(_repeat, about=about, planner=planner)
+        told["epsilon"] = usual(start / LEDGER)
+        repeat = partial(_repeat, about=about, planner=planner, epsilon=told["epsilon"])
         last = carry_on(folder / arm, about["repetitions"], repeat, start=start)
         with LedgerReader(last / LEDGER) as reader:
             head, state = reader.head(), derive(reader)
@@ -128,6 +130,13 @@ def figures(episode: Episode) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def usual(ledger: Path) -> float:
+    """Median Δ of the successes in a ledger; the default where there are none."""
+    with LedgerReader(ledger) as reader:
+        sizes = [memo.Delta for memo in derive(reader).memos if memo.r and memo.Delta is not None]
+    return float(np.median(sizes)) if sizes else Plasticity().epsilon
+
+
 def thirds(row: Row) -> tuple[float, float]:
     """Mean Δ of the first and of the last third of the repetitions that moved."""
     found = [one["Delta"] for one in row["episodes"]]
@@ -161,22 +170,24 @@ def _begin(here: Path, about: dict[str, Any], number: int) -> None:
     _play(here / LEDGER, about, GivenContract("start", _contract(actions)), f"s-{number}", number, static=True)
 
 
-def _repeat(number: int, here: Path, about: dict[str, Any], planner: Planner) -> None:
+def _repeat(number: int, here: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
     """One repetition, and what it leaves for the row."""
     static, turn = about["arm"] == "static", FIRST + number
-    episode = _play(here / LEDGER, about, planner, f"r-{number}", turn, static=static)
+    episode = _play(here / LEDGER, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
     file = here / TOLD
     told = json.loads(file.read_text()) if file.exists() else []
     file.write_text(json.dumps([*told, figures(episode)]))
 
 
-def _play(ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool) -> Episode:
+def _play(
+    ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
+) -> Episode:  # fmt: skip
     """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
             WORDS, Path(folder) / name, ledger, folders.cache(), scene=about["scene"], goal=GOAL, visuals=False,
-            seed=seed, static=static,
+            seed=seed, static=static, epsilon=epsilon,
         )  # fmt: skip
         dates = count(BEGAN + turn * BETWEEN_S, 1.0)
         times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))

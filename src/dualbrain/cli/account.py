@@ -45,7 +45,7 @@ def carry_out(
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
     consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
-    site: Path | None = None, utility: bool = False, tries: int = 1,
+    site: Path | None = None, utility: bool = False, tries: int = 1, epsilon: float,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
@@ -54,7 +54,8 @@ def carry_out(
     config = RunConfig(
         instruction, out, ledger or home() / "ledger.sqlite", cache(), robot, scene, planner, contract, guard, seed,
         goal=goal, measured=view and contract is None, knowledge=home() / "knowledge.sqlite", consult=consult,
-        map=chart, eyes=eyes, site=site, utility=utility, tries=tries, adapters=home() / "adapters",
+        map=chart, eyes=eyes, site=site, utility=utility, tries=tries, epsilon=epsilon,
+        adapters=home() / "adapters",
     )  # fmt: skip
     pace = _Pace() if view else None
     times = Times(time.monotonic, started.isoformat(timespec="seconds"), time.time, pace)

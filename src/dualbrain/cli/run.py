@@ -14,6 +14,8 @@ from dualbrain.errors import WrongUsage
 
 PLANNER = "qwen2.5-coder-1.5b-instruct"
 MOST_TRIES = 5
+EPSILON = 0.003
+"""As `memory.plasticity` has it, which is only loaded where something runs."""
 
 
 def run(
@@ -36,6 +38,7 @@ def run(
     knowledge: Literal["on", "off"] = "off",
     eyes: Annotated[bool, Parameter(negative="")] = False,
     utility: Annotated[bool, Parameter(negative="")] = False,
+    epsilon: float = EPSILON,
     map: str = "",
     live: Annotated[bool, Parameter(negative="")] = False,
     speed: str = "100%",
@@ -82,6 +85,9 @@ def run(
         "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
     utility
         Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
+    epsilon
+        ε of memory: with more Δ than this even a success lowers the weights of what led to it. Set it for your robot,
+        to the median Δ of some successes.
     map
         MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names; for a
         base those on the floor, and its regions bound where it drives.
@@ -101,6 +107,8 @@ def run(
         )  # fmt: skip
     if not 1 <= tries <= MOST_TRIES:
         raise WrongUsage("--tries", got=tries, allowed=f"1 to {MOST_TRIES}")
+    if not epsilon >= 0.0:
+        raise WrongUsage("--epsilon", got=epsilon, allowed="0 or more")
     if live and filter == "off":
         raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()
@@ -109,6 +117,6 @@ def run(
             instruction, robot=robot, scene=scene, planner=planner, guard=filter == "on", contract=contract, goal=goal,
             view=not headless, stay=stay, out=out, ledger=ledger, seed=seed, port=port, as_json=json,
             consult=knowledge == "on", chart=map, live=live, stage=share(speed), eyes=eyes, site=site,
-            utility=utility, tries=tries,
+            utility=utility, tries=tries, epsilon=epsilon,
         )
     )  # fmt: skip

@@ -108,7 +108,7 @@ class Session:
         ledger = Ledger(config.ledger, holder=f"dualbrain run {config.out.name}", now=self.times.now())
         self._stack.callback(ledger.close)
         self.ledger = ledger
-        rule = None if config.static else Plasticity()
+        rule = None if config.static else Plasticity(epsilon=config.epsilon)
         self.memory = Memory(ledger, encoder, MemoryConfig((PostureLimits.of(self.body),), plasticity=rule))
         self.plant = open_plant(self.spec, self.body, visuals=config.visuals)
         perception = Perception(self.spec, Noise(), np.random.default_rng([config.seed, 1]))
