@@ -121,6 +121,6 @@ def test_the_codes_are_the_published_ones():
 
 
 def test_the_epsilon_of_a_run_is_memorys_own_unless_another_is_asked_for():
-    assert EPSILON == Plasticity().epsilon
+    assert Plasticity().epsilon == EPSILON
     with pytest.raises(WrongUsage, match="--epsilon"):
         run("put the red cube in the bowl", epsilon=-1.0)
