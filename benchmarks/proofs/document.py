@@ -49,7 +49,7 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             plot(families(rows), docs / "families.png", SPEED, FAMILIES)
             section += ["", "![Δ by contract, family and seed](families.png)", ""]
         if proof.name == "learning":
-            plot_learning(rows, docs / "learning.png")
+            plot_learning(rows, docs / PICTURES / "learning.png")
         sections[proof.name] = section
     names = sorted(sections, key=lambda name: order.index(name) if name in order else len(order))
     _between(docs / "proofs.md", [line for name in names for line in (f"## {name}", "", *sections[name], "")])

@@ -45,6 +45,7 @@ GRID: dict[str, tuple[Any, ...]] = {
 BEGAN, BETWEEN_S = 1_795_000_000.0, 240.0
 """Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
 LEDGER, TOLD = "ledger.sqlite", "episodes.json"
+PICTURE = "images/learning.png"
 
 
 class Learning:
@@ -107,9 +108,9 @@ class Learning:
                         (scene, arm, len(mine), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
                     )
         head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
-        picture = ["![Δ, decision time and R over repetitions](learning.png)", ""]
+        picture = [f"![Δ, decision time and weights over repetitions]({PICTURE})", ""]
         episodes = [one for row in rows for one in row["episodes"]]
-        return [*table(head, lines), *confusion_lines(episodes), *picture]
+        return [*table(head, lines), *compared(rows), *confusion_lines(episodes), *picture]
 
 
 def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
@@ -144,6 +145,26 @@ def thirds(row: Row) -> tuple[float, float]:
     parts = ([x for x in part if x is not None] for part in (found[:third], found[-third:]))
     first, last = (float(np.mean(part)) if part else float("nan") for part in parts)
     return first, last
+
+
+def compared(rows: list[Row]) -> list[str]:
+    """Ledger by ledger, the last third: dynamic against static from the same start, by Δ and by refusals."""
+    pairs: dict[tuple[str, int], dict[str, Row]] = {}
+    for row in rows:
+        pairs.setdefault((row["scene"], row["seed"]), {})[row["arm"]] = row
+    both = [pair for pair in pairs.values() if len(pair) == 2]
+    if not both:
+        return []
+    less = np.array([thirds(pair["dynamic"])[1] - thirds(pair["static"])[1] for pair in both])
+    lower, higher = int(np.sum(less < 0.0)), int(np.sum(less > 0.0))
+    still = {arm: sum(one["Delta"] is None for pair in both for one in pair[arm]["episodes"]) for arm in both[0]}
+    of = sum(len(pair["dynamic"]["episodes"]) for pair in both)
+    return [
+        f"Last ten repetitions, dynamic weights against static ones from the same start: Δ lower in {lower} of "
+        f"{len(both)} ledgers, higher in {higher}; mean difference {np.nanmean(less):+.4f}. Contracts that were "
+        f"refused: {still['dynamic']} of {of} with dynamic weights, {still['static']} of {of} with static ones.",
+        "",
+    ]
 
 
 def separation(ledger: LedgerReader) -> list[list[float]]:

@@ -10,10 +10,15 @@ from matplotlib.figure import Figure
 from proofs.proof import Row
 
 COLOURS = {"dynamic": "#2a6fb0", "static": "#c2703d"}
+REFUSED = {"dynamic": 0.03, "static": 0.08}
+"""How high above the lower edge a refused contract is marked [share of the axis]."""
 
 
 def plot_learning(rows: list[Row], path: Path) -> None:
-    """Thin lines are ledgers, thick ones their median; the caption names the ledgers by their heads."""
+    """Thin lines are ledgers, thick ones their median, crosses contracts that were refused, so that nothing moved.
+
+    The caption names the ledgers by their heads.
+    """
     figure = Figure(figsize=(10.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 1)
     for name, axis, label in (("Delta", axes[0], "Δ of the episode"), ("decision_s", axes[1], "decision time [s]")):
@@ -23,11 +28,17 @@ def plot_learning(rows: list[Row], path: Path) -> None:
                 axis.plot(line, color=colour, alpha=0.2, lw=0.8)
             if lines:
                 shortest = min(map(len, lines))
-                middle = np.nanmedian([line[:shortest] for line in lines], axis=0)
-                axis.plot(middle, color=colour, lw=2.2, label=f"{arm} weights ({len(lines)} ledgers)")
+                known = np.ma.masked_invalid([line[:shortest] for line in lines])
+                axis.plot(
+                    np.ma.median(known, axis=0), color=colour, lw=2.2, label=f"{arm} weights ({len(lines)} ledgers)"
+                )
         axis.set_ylabel(label)
         axis.legend(frameon=False)
     axes[0].set_yscale("symlog", linthresh=1e-3)
+    for row in rows:
+        still = np.flatnonzero(np.isnan(_values(row, "Delta")))
+        where, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
+        axes[0].plot(still, np.full(len(still), REFUSED[row["arm"]]), "x", color=colour, alpha=0.5, transform=where)
     for row in rows:
         if row["arm"] == "dynamic":
             curve = np.array(row["parted"])
