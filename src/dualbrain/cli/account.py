@@ -28,6 +28,7 @@ from dualbrain.cli.lookout import Lookout
 from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
 from dualbrain.memory.map import memory_map
+from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.utility import total
 from dualbrain.records import Episode
 from dualbrain.runtime.decision import in_words
@@ -36,6 +37,7 @@ from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Ti
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Event
 
+EPSILON = Plasticity().epsilon
 STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red",
          "order": "yellow", "operator": "magenta"}  # fmt: skip
 
@@ -45,7 +47,7 @@ def carry_out(
     contract: Path | None = None, goal: str = "", view: bool = True, stay: bool = False, out: Path | None = None,
     ledger: Path | None = None, seed: int = 0, port: int = 8080, as_json: bool = False,
     consult: bool = False, chart: str = "", live: bool = False, stage: float = 1.0, eyes: bool = False,
-    site: Path | None = None, utility: bool = False, tries: int = 1, epsilon: float,
+    site: Path | None = None, utility: bool = False, tries: int = 1, epsilon: float = EPSILON,
 ) -> int:  # fmt: skip
     """Run, tell, draw, report; returns the exit code. `live`: in two processes and real time, beginning at `stage`."""
     console = Account()
