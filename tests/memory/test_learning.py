@@ -15,7 +15,7 @@ from dualbrain.memory.plasticity import Penalty, Plasticity
 from dualbrain.memory.retrieval import Query, Scan
 from dualbrain.memory.trust import Trust
 
-from .samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
+from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
 WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=Trust.none())
 
@@ -37,6 +37,23 @@ def test_the_neighbourhood_moves_by_the_papers_gaussian(tmp_path: Path, kind: st
         assert [got[name] for name in "abc"] == pytest.approx(expected[:3].tolist(), abs=1e-6)
         assert (got["c"], report.neighbours) == (0.5, 2)
         assert got["new"] == pytest.approx(Factors(0.95, 0.1 if xi > 0 else -0.1)(0.5))
+
+
+def test_how_one_contract_went_says_nothing_of_others_in_the_same_place(tmp_path: Path) -> None:
+    """Else a contract that fails again and again would pull down the good ones beside it, until the last one leads."""
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, WIDE)
+        memory.store(episode("good", plan=contract("cup")), REST, now=NOW)
+        memory.store(episode("like it", "declined", plan=contract("jar")), REST, now=NOW)
+        before = memory.weights()
+        for number in range(20):
+            memory.store(episode(f"bad {number}", "failed", plan=contract("jar")), REST, now=NOW)
+        after = memory.weights()
+        assert after["good"] == before["good"] > max(after[f"bad {number}"] for number in range(20))
+        assert after["like it"] == 0.0
+        bare = {"id": "c-1", "context": {}, "action_sequence": []}
+        assert memory.store(episode("nothing", "failed", plan=bare), REST, now=NOW).neighbours == 0
+        assert memory.store(episode("again", "failed", plan=bare), REST, now=NOW).neighbours == 0
 
 
 def test_at_most_the_nearest_are_touched(tmp_path: Path) -> None:

@@ -122,11 +122,14 @@ class Consolidation:
         return Lecture(memo.id, memo.provenance.source, memo.r, Delta, shown, around)
 
     def _around(self, embedded: Embedded, one: Episode | Memo) -> list[tuple[str, float]]:
-        """Id and squared distance 2 − 2 cos of the neighbours of `one`, itself excluded, nearest first."""
-        rule = self._config.plasticity
-        if rule is None or rule.kappa == 0.0 or rule.reach == 0:
+        """Id and squared distance 2 − 2 cos of the neighbours of `one`, itself excluded, nearest first.
+
+        Neighbours hold the same contract: how it went says nothing of others in the same place.
+        """
+        rule, origin = self._config.plasticity, one.provenance if isinstance(one, Memo) else provenance_of(one)
+        if rule is None or rule.kappa == 0.0 or rule.reach == 0 or not origin.skills:
             return []
-        where = Filter(one.robot, one.registry, statuses=("active", "candidate"))
+        where = Filter(one.robot, one.registry, contract=origin.contract, statuses=("active", "candidate"))
         compared = self._index.compare(embedded, self._config.embedding.alpha)
         found = self._index.within(compared, where, 1.0 - rule.radius / 2.0, rule.reach + 1)
         names = [(self._state.memos[row].id, max(0.0, 2.0 - 2.0 * cosine)) for row, cosine in found]

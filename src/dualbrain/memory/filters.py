@@ -20,14 +20,16 @@ Mask = NDArray[np.bool_]
 class Filter:
     """Conditions on a memory; the empty tuple and None set none.
 
-    `skills`: its contract holds all of them. `after` and `before` [s, 1970 UTC] bound when it was stored. By default
-    only active memories pass: neither candidates nor what is quarantined or forgotten.
+    `skills`: its contract holds all of them; `contract`: it is the one with this digest. `after` and `before` [s, 1970
+    UTC] bound when it was stored. By default only active memories pass: neither candidates nor what is quarantined or
+    forgotten.
     """
 
     robot: str | None = None
     registry: str | None = None
     lesson: Lesson | None = None
     skills: tuple[str, ...] = ()
+    contract: str | None = None
     outcomes: tuple[OutcomeClass, ...] = ()
     sources: tuple[str, ...] = ()
     statuses: tuple[Status, ...] = ("active",)
@@ -37,6 +39,8 @@ class Filter:
 
 REMEMBERED = 16
 """So many filters keep their answer."""
+TOLD = ("place", "lesson", "skills", "contract", "kind", "source")
+"""What is told of a memory when it is added, and stays."""
 
 
 class _Column:
@@ -62,7 +66,7 @@ class Columns:
 
     def __init__(self) -> None:
         """Begin empty."""
-        self._columns = {name: _Column() for name in ("place", "lesson", "skills", "kind", "source", "status")}
+        self._columns = {name: _Column() for name in (*TOLD, "status")}
         self._times = np.empty(64)
         self._count = 0
         self._masks: dict[Filter, Mask] = {}
@@ -74,8 +78,9 @@ class Columns:
         if row == len(self._times):
             self._times = np.concatenate([self._times, np.empty(max(64, row // 2))])
         self._times[row] = memo.time
-        values = ((memo.robot, memo.registry), memo.lesson, memo.provenance.skills, memo.kind, memo.provenance.source)
-        for name, value in zip(("place", "lesson", "skills", "kind", "source"), values, strict=True):
+        origin = memo.provenance
+        values = ((memo.robot, memo.registry), memo.lesson, origin.skills, origin.contract, memo.kind, origin.source)
+        for name, value in zip(TOLD, values, strict=True):
             self._columns[name].set(row, value)
         self.set_status(row, memo.status)
 
@@ -108,6 +113,8 @@ class Columns:
         if wanted.skills:
             chosen = {skills for skills in columns["skills"].known if set(wanted.skills) <= set(skills)}
             passed &= columns["skills"].among(chosen, n)
+        if wanted.contract is not None:
+            passed &= columns["contract"].among({wanted.contract}, n)
         if wanted.outcomes:
             passed &= columns["kind"].among(set(wanted.outcomes), n)
         if wanted.sources:

@@ -47,8 +47,9 @@ class Plasticity:
     the ledger is part of their meaning. Defaults suit a Δ of about 0.003 in clean successes; set ε per robot.
 
     Neighbourhood: w_j ← min{1, max{0, w_j + κ ξ exp(−‖e_j − e_i‖²/2ℓ²)}} with κ `kappa`, ξ = ±1, ℓ `bandwidth`, for at
-    most `reach` memories j ≠ i within 3ℓ, where the factor has fallen to 0.011. ℓ ≤ 0.3, that is cos ≥ 0.6: wider, and
-    unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: a neighbour's outcome never outweighs an own one.
+    most `reach` memories j ≠ i of the same contract within 3ℓ, where the factor has fallen to 0.011. ℓ ≤ 0.3, that is
+    cos ≥ 0.6: wider, and unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: a neighbour's outcome never
+    outweighs an own one.
     """
 
     rho: float = 0.05
