@@ -22,7 +22,7 @@ import numpy as np
 from dualbrain.cli import folders
 from dualbrain.memory.derive import derive
 from dualbrain.memory.ledger import LedgerReader
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import EPSILON
 from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode
 from dualbrain.runtime.given import GivenContract
@@ -135,7 +135,7 @@ def usual(ledger: Path) -> float:
     """Median Δ of the successes in a ledger; the default where there are none."""
     with LedgerReader(ledger) as reader:
         sizes = [memo.Delta for memo in derive(reader).memos if memo.r and memo.Delta is not None]
-    return float(np.median(sizes)) if sizes else Plasticity().epsilon
+    return float(np.median(sizes)) if sizes else EPSILON
 
 
 def thirds(row: Row) -> tuple[float, float]:

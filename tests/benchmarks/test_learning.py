@@ -6,7 +6,7 @@ from proofs.learning import compared, start_contracts, thirds, usual
 from proofs.plot_learning import plot_learning
 
 from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import EPSILON
 
 
 def row(arm, sizes, seed=0):
@@ -22,16 +22,17 @@ def test_thirds_leave_out_what_did_not_move():
 def test_arms_are_compared_ledger_by_ledger():
     first = [row("dynamic", [0.2, 0.1, 0.0]), row("static", [0.2, None, 0.1])]
     second = [row("dynamic", [0.2, 0.1, 0.3], 1), row("static", [0.2, 0.1, 0.1], 1)]
-    rows = [*first, *second, row("dynamic", [0.0], 2)]
+    third = [row("dynamic", [0.2, 0.1, 0.0], 2), row("static", [0.2, 0.1, 0.4], 2)]
+    rows = [*first, *second, *third, row("dynamic", [0.0], 3)]
     told = " ".join(compared(rows))
-    assert "lower in 1 of 2 ledgers, higher in 1; mean difference +0.0500" in told
-    assert "0 of 6 with dynamic weights, 1 of 6 with static ones" in told
+    assert "lower in 2 of 3 ledgers, higher in 1; mean difference -0.1000" in told
+    assert "0 of 9 with dynamic weights, 1 of 9 with static ones" in told
     assert compared(rows[-1:]) == []
 
 
 def test_epsilon_is_memorys_own_where_the_start_has_no_success(tmp_path):
     Ledger(tmp_path / "ledger.sqlite", holder="test", now=0.0).close()
-    assert usual(tmp_path / "ledger.sqlite") == Plasticity().epsilon
+    assert usual(tmp_path / "ledger.sqlite") == EPSILON
 
 
 def test_contracts_of_the_start_differ_from_seed_to_seed_and_are_the_same_again():

@@ -7,10 +7,9 @@ import pytest
 
 from dualbrain.cli.account import exit_code, succeeded, summary
 from dualbrain.cli.exits import Exit
-from dualbrain.cli.run import EPSILON, run
+from dualbrain.cli.run import run
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import WrongUsage
-from dualbrain.memory.plasticity import Plasticity
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall, Scene, Violation
 from dualbrain.runtime.session import FILES
 from dualbrain.world.scene_spec import load_scene
@@ -120,7 +119,7 @@ def test_the_codes_are_the_published_ones():
     assert [int(code) for code in Exit] == [0, 1, 2, 3, 4, 5, 130]
 
 
-def test_the_epsilon_of_a_run_is_memorys_own_unless_another_is_asked_for():
-    assert Plasticity().epsilon == EPSILON
+@pytest.mark.parametrize("epsilon", [-1.0, float("nan"), float("inf")])
+def test_an_epsilon_that_is_none_is_refused_before_anything_opens(epsilon):
     with pytest.raises(WrongUsage, match="--epsilon"):
-        run("put the red cube in the bowl", epsilon=-1.0)
+        run("put the red cube in the bowl", epsilon=epsilon)

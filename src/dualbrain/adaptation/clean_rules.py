@@ -15,7 +15,7 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import EPSILON
 
 PRINCIPAL = "planner"
 
@@ -27,7 +27,7 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     (its skills in order) an episode may take; dawdling keeps Δ low and must not be learnt.
     """
 
-    epsilon: float = Plasticity().epsilon
+    epsilon: float = EPSILON
     slowest: float = 1.5
 
     def __post_init__(self) -> None:

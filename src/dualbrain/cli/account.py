@@ -28,7 +28,7 @@ from dualbrain.cli.lookout import Lookout
 from dualbrain.cli.waiting import Waiting
 from dualbrain.dashboard.report import write_report
 from dualbrain.memory.map import memory_map
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import EPSILON
 from dualbrain.memory.utility import total
 from dualbrain.records import Episode
 from dualbrain.runtime.decision import in_words
@@ -37,7 +37,6 @@ from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Ti
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Event
 
-EPSILON = Plasticity().epsilon
 STYLE = {"verdict": "bold cyan", "action": "bold", "phase": "dim", "intervention": "yellow", "takeover": "red",
          "order": "yellow", "operator": "magenta"}  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,11 +12,10 @@ from cyclopts import Parameter
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.share import share
 from dualbrain.errors import WrongUsage
+from dualbrain.memory.plasticity import EPSILON
 
 PLANNER = "qwen2.5-coder-1.5b-instruct"
 MOST_TRIES = 5
-EPSILON = 0.003
-"""As `memory.plasticity` has it, which is only loaded where something runs."""
 
 
 def run(
@@ -107,8 +107,8 @@ def run(
         )  # fmt: skip
     if not 1 <= tries <= MOST_TRIES:
         raise WrongUsage("--tries", got=tries, allowed=f"1 to {MOST_TRIES}")
-    if not epsilon >= 0.0:
-        raise WrongUsage("--epsilon", got=epsilon, allowed="0 or more")
+    if not 0.0 <= epsilon < inf:
+        raise WrongUsage("--epsilon", got=epsilon, allowed="a number, 0 or more")
     if live and filter == "off":
         raise WrongUsage("--filter", got="off", allowed="on, with --live: the gatekeeper cannot do without")
     stay = not headless and sys.stdout.isatty()

@@ -10,6 +10,8 @@ from dualbrain.memory.affine import Factors
 
 W0 = 0.5
 """Weight of a new memory before any outcome."""
+EPSILON = 0.003
+"""Δ up to which a success speaks for a memory, unless it is set for a robot."""
 WIDEST = 0.3
 """The widest neighbourhood ℓ."""
 
@@ -55,7 +57,7 @@ class Plasticity:
     rho: float = 0.05
     eta_plus: float = 0.1
     eta_minus: float = 0.2
-    epsilon: float = 0.003
+    epsilon: float = EPSILON
     g: Penalty = field(default_factory=Penalty)
     kappa: float = 0.02
     bandwidth: float = 0.2

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import EPSILON
 from dualbrain.memory.store import StoreReport
 from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
@@ -45,7 +45,7 @@ class RunConfig:
     """Whether the planner is asked again without each exemplar, to tell which memory was of use."""
     static: bool = False
     """Whether memory's weights stand still: recalled and stored alike, but nothing is learnt."""
-    epsilon: float = Plasticity().epsilon
+    epsilon: float = EPSILON
     """ε of memory: with more Δ than this even a success lowers the weights of what led to it."""
     adapters: Path | None = None
     """The registry of adapters; None: the folder `adapters` beside the ledger."""
