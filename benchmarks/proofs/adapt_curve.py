@@ -33,19 +33,18 @@ from dualbrain.cli import folders
 from dualbrain.contracts.schema import short_form
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.planner.asking import FREE
-from dualbrain.planner.chat import Answer
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.prompt import Message, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Recall
 from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.runtime.proposals import LEDGER, ROBOT, flown, instruction_of, proposals, proposed
 from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
 from proofs.closed_loop import fly
 from proofs.figures import table
-from proofs.language import LONGEST, judged, right
+from proofs.language import LONGEST, by_chance, judged, right
 from proofs.proof import Options, Row, Unit
-from proofs.proposals import LEDGER, ROBOT, flown, instruction_of, proposed
 
 SEEDS, STEPS, FLIGHTS = range(3), (50, 150), 400
 A_SLICE, CARRIED_OUT, DRAWN, DRAWS = 20, 24, 5, 16
@@ -133,7 +132,7 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
     config = AdaptConfig(
         objective=objective, fit=FitDials(steps=steps, seed=seed, save_every=25, ask_at_most=0, threads=1)
     )
-    data = taught(flown(folder / "proposals", seed, FLIGHTS), clean=clean)
+    data = taught(day(folder, seed), clean=clean)
     began, busy = time.monotonic(), time.process_time()
     card = adapt(
         data, config, find_base("base-135m", folders.cache()), gate_judge(vocabulary(ROBOT)),
@@ -141,6 +140,12 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
     )  # fmt: skip
     cost = {"fit_s": time.monotonic() - began, "fit_cpu_s": time.process_time() - busy}
     return {"adapter": card.id, "samples": len(data.train), "dataset": data.card.hash, **cost}
+
+
+def day(folder: Path, seed: int) -> Path:
+    """The flights that all arms of a seed learn from."""
+    kept, wanted = folder / "proposals" / f"seed {seed}, {FLIGHTS} flights", proposals(seed, FLIGHTS)
+    return flown(kept, FLIGHTS, wanted.__getitem__, cache=folders.cache())
 
 
 def taught(folder: Path, *, clean: bool) -> Dataset:
@@ -215,10 +220,7 @@ def answer(planner: LlamaPlanner, one: Sample, *, long: bool) -> str:
 
 def draw(planner: LlamaPlanner, one: Sample, chance: int, *, long: bool) -> bool:
     """Whether an answer drawn at temperature 1 is compliant."""
-    body = {"messages": turns(one, long=long), "max_tokens": LONGEST, "temperature": 1.0, "seed": chance}
-    told = planner.tell("/v1/chat/completions", body)
-    text = "" if isinstance(told, Answer) else str(told["choices"][0]["message"].get("content") or "")
-    return bool(judged(one, text)["compliant"])
+    return bool(judged(one, by_chance(planner, turns(one, long=long), 1.0, chance))["compliant"])
 
 
 def flight(one: dict[str, Any]) -> dict[str, Any]:

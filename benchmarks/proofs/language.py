@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -26,6 +26,7 @@ from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.planner.asking import FREE
+from dualbrain.planner.chat import Answer
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.runtime.classroom import lessons, setting_of
 from dualbrain.weights import find_file, locate
@@ -139,6 +140,13 @@ def free(planner: LlamaPlanner, question: Sample) -> str:
     """The free answer; "" where there is none."""
     said = say(planner, question.prompt, longest=LONGEST)
     return said.text if isinstance(said, Said) else ""
+
+
+def by_chance(planner: LlamaPlanner, turns: Sequence[Mapping[str, object]], temperature: float, seed: int) -> str:
+    """A free answer drawn at `temperature`; "" where there is none."""
+    body = {"messages": list(turns), "max_tokens": LONGEST, "temperature": temperature, "seed": seed}
+    told = planner.tell("/v1/chat/completions", body)
+    return "" if isinstance(told, Answer) else str(told["choices"][0]["message"].get("content") or "")
 
 
 def judged(question: Sample, text: str) -> dict[str, Any]:

@@ -27,13 +27,13 @@ from dualbrain.planner.protocol import Planner
 from dualbrain.records import Episode
 from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
+from dualbrain.runtime.steps import carry_on
 from dualbrain.runtime.vocabulary import vocabulary
 from proofs.closed_loop import errand
 from proofs.confusion import confusion_lines
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit
 from proofs.runs import GOAL, planner_of
-from proofs.steps import carry_on
 
 SCENES, SEEDS, REPETITIONS, FIRST = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
 """Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from proofs import adapt_curve, language, proposals, retention
+from proofs import adapt_curve, language, retention
 
 from dualbrain.runtime.classroom import lessons
 
@@ -57,16 +57,6 @@ def test_tables_name_every_slice_and_arm(drawn):
     for arm in adapt_curve.TAUGHT:
         assert f"| {arm} | 150 | 3 | 100% ± 0%" in report
     assert adapt_curve.interval([0.0, 0.1, 0.2]) == "10% ± 25%"
-
-
-def test_proposals_ask_for_deeds_and_differ_by_seed():
-    some, others = proposals.proposals(0, 4), proposals.proposals(1, 4)
-    assert len(some) == len(others) == 4
-    assert not {one.id for one in some} & {one.id for one in others}
-    for one in some:
-        assert "<example>" not in one.prompt[-1]["content"]
-        assert '"decline"' not in one.contract
-        assert proposals.instruction_of(one)
 
 
 def test_a_known_answer_holds_one_of_the_words():

@@ -1,10 +1,11 @@
-"""A long unit in steps: each leaves a whole folder, so that a unit that was stopped goes on where it was."""
+"""Long work in steps: each leaves a whole folder, so that work that was stopped goes on where it was."""
 
 from __future__ import annotations
 
 import fcntl
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -15,22 +16,30 @@ def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start
     steps count: one that was killed, or raised, is done again from its beginning. Another process that wants the same
     steps waits for them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with alone(folder):
         whole = sorted(folder.glob("step-*"))
         last = whole[-1] if whole else None
         for number in range(_number(last), steps):
             partial = folder / "partial"
             shutil.rmtree(partial, ignore_errors=True)
-            shutil.copytree(last or start, partial) if last or start else partial.mkdir()
+            before = last or start
+            shutil.copytree(before, partial) if before else partial.mkdir()
             do(number, partial)
             last = partial.rename(folder / f"step-{number + 1:04d}")
         for old in folder.glob("step-*"):
             if old != last:
                 shutil.rmtree(old)
-    assert last is not None, "a unit has at least one step"
+    assert last is not None, "work has at least one step"
     return last
+
+
+@contextmanager
+def alone(folder: Path) -> Generator[None]:
+    """Nobody else works in `folder` meanwhile; whoever wants to waits. It is made, and is free again after a kill."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _number(last: Path | None) -> int:

@@ -1,7 +1,8 @@
 import threading
 
 import pytest
-from proofs.steps import carry_on
+
+from dualbrain.runtime.steps import carry_on
 
 
 def note(number, here):
