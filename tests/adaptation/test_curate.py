@@ -60,6 +60,22 @@ def test_at_the_bounds_it_is_in(tmp_path):
         assert "edge" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
+def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
+    """It has no success and no Δ; a name opens the door to no failure, and not to a decline that the gate refuses."""
+    plan = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
+    wrong = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no" * 200}}]}
+    refusals = [
+        episode(name, "declined", Delta=None, duration=0.0, plan=told, told=summary(number=9 + i), words=f"fly {name}")
+        for i, (name, told) in enumerate({"right": plan, "unnamed": plan, "endless": wrong}.items())
+    ]
+    with remember(tmp_path, [*several(2), *refusals, episode("bad", "failed", told=summary(number=8))]) as ledger:
+        found = curate(ledger, REGISTRY, ALL, declines={"right", "endless", "bad"})
+    assert {row.memory for row in found.train} == {"e0", "e1", "right"}
+    assert found.left_out == {
+        "outcome declined": ("unnamed",), "outcome failed": ("bad",), "refused by the gate: envelope": ("endless",)
+    }  # fmt: skip
+
+
 def test_what_is_set_aside_does_not_teach_and_what_is_brought_back_does(tmp_path):
     def set_aside(memory):
         quarantine(memory, ["e0", "e1"], "a test", now=NOW)

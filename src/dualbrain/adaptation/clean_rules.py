@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from statistics import median
 
 import msgspec
@@ -39,18 +39,20 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def select(
-    found: Sequence[Candidate], registry: Registry, rules: CleanRules
+    found: Sequence[Candidate], registry: Registry, rules: CleanRules, declines: Collection[str] = ()
 ) -> tuple[list[Candidate], dict[str, list[str]]]:
     """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
 
     Every contract is judged again by today's gate, so that what is taught is what is accepted now. The verdict r is the
-    robot's own; simulator truth is not in the ledger.
+    robot's own; simulator truth is not in the ledger. A decline has no r: those that are named in `declines` are let in
+    on the word of whoever asked.
     """
     gate = Gate(registry, {PRINCIPAL: frozenset(registry.by_name)})
     left_out = defaultdict[str, list[str]](list)
     good: list[Candidate] = []
     for one in found:
-        if reason := _why_not(one, registry, rules) or _refused(one, registry, gate):
+        asked_to = one.memo.kind == "declined" and one.memo.id in declines
+        if reason := _why_not(one, registry, rules, declines=asked_to) or _refused(one, registry, gate):
             left_out[reason].append(one.memo.id)
         else:
             good.append(one)
@@ -61,20 +63,27 @@ def select(
     return [one for one in good if one.duration <= limits[one.family]], dict(left_out)
 
 
-def _why_not(one: Candidate, registry: Registry, rules: CleanRules) -> str:
-    """The first rule that excludes `one` by what the ledger says of it; "" if none does."""
+def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, declines: bool) -> str:
+    """The first rule that excludes `one` by what the ledger says of it; "" if none does.
+
+    One that rightly `declines` needs no success and has no Δ, for nothing moved.
+    """
     memo = one.memo
     checks = (
         (memo.robot == registry.robot, "of another robot"),
         (memo.status == "active", f"{memo.status} in memory"),
-        (memo.kind == "succeeded", f"outcome {memo.kind}"),
+        (declines or memo.kind == "succeeded", f"outcome {memo.kind}"),
         (memo.registry == registry.hash, "of another registry"),
         (one.filtered, "flown without the safety filter"),
         (bool(one.instruction.strip()), "without an instruction"),
-        (memo.Delta is not None and 0.0 <= memo.Delta <= rules.epsilon, f"Δ above {rules.epsilon:g}"),
+        (declines or _quiet(memo.Delta, rules.epsilon), f"Δ above {rules.epsilon:g}"),
         (math.isfinite(one.duration), "without a duration"),
     )
     return next((reason for holds, reason in checks if not holds), "")
+
+
+def _quiet(Delta: float | None, epsilon: float) -> bool:
+    return Delta is not None and 0.0 <= Delta <= epsilon
 
 
 def _refused(one: Candidate, registry: Registry, gate: Gate) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import msgspec
 
@@ -51,15 +51,20 @@ class Curated(msgspec.Struct, frozen=True):
     memories: int
 
 
-def curate(ledger: LedgerReader, registry: Registry, dials: Curation) -> Curated:
+def curate(
+    ledger: LedgerReader, registry: Registry, dials: Curation, *, declines: Collection[str] = ()
+) -> Curated:  # fmt: skip
     """The data set of `ledger` for the robot of `registry`; the same ledger and dials give the same set.
+
+    A decline proves nothing: a planner that declines everything would teach itself to. So none is let in but those that
+    are named in `declines` (ids of memories), by whoever asked for what cannot be done and knew it.
 
     Promise: no scene is on both sides (see `scene_groups`), every completion is accepted by today's gate in its scene,
     every sample leads back to its events. A rollback, a quarantine or a forgotten memory changes what it finds: always
     curate anew. Raises `InvalidSetup` if nothing is left, `DamagedLedger`.
     """
     found = list(candidates(ledger))
-    clean, left_out = select(found, registry, dials.rules)
+    clean, left_out = select(found, registry, dials.rules, declines)
     if not clean:
         raise InvalidSetup("clean episodes", got=_told(len(found), left_out), allowed="at least one", fix=_FIX)
     kept = merge(clean)
