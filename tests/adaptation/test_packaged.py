@@ -6,35 +6,47 @@ from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
 from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.runtime import starter
 from dualbrain.runtime.classroom import ROBOTS, lessons
+from dualbrain.runtime.proposals import ROBOT
 from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.weights import find_file
 
 LARGEST = 5_000_000
 REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
+MADE = {"base-135m": (DIALS, list(REGISTRIES)), "starter-135m": (starter.DIALS, [ROBOT])}
+"""By name: the dials, and the robots it was taught to speak to."""
+
+
+@pytest.fixture(params=packaged_names())
+def name(request):
+    return request.param
 
 
 @pytest.fixture
-def card():
-    return read_adapter_card(packaged_folder("base-135m"))
+def card(name):
+    return read_adapter_card(packaged_folder(name))
 
 
-def test_it_is_what_its_card_says(card):
+def test_the_base_of_the_main_table_is_here():
     assert "base-135m" in packaged_names()
+
+
+def test_it_is_what_its_card_says(name, card):
     assert card.base_sha256 == find_file(card.base).sha256
     assert card.bootstrapped
     assert set(card.sources) == {"templates"}
-    assert card.config == DIALS
-    assert (packaged_folder("base-135m") / WEIGHTS).stat().st_size <= LARGEST
+    assert card.config == MADE[name][0]
+    assert (packaged_folder(name) / WEIGHTS).stat().st_size <= LARGEST
 
 
-def test_it_was_taught_todays_prompt_and_vocabularies(card):
+def test_it_was_taught_todays_prompt_and_vocabularies(name, card):
     require_prompt(card)
-    for robot, registry in REGISTRIES.items():
-        require_fit(card, robot, registry.hash)
+    for robot in MADE[name][1]:
+        require_fit(card, robot, REGISTRIES[robot].hash)
 
 
 @pytest.mark.slow
-def test_its_lessons_can_be_drawn_again(card):
+def test_the_lessons_of_the_base_can_be_drawn_again():
     again = course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), REGISTRIES)
-    assert again.card.hash == card.dataset
+    assert again.card.hash == read_adapter_card(packaged_folder("base-135m")).dataset

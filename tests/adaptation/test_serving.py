@@ -16,14 +16,15 @@ import torch
 from dualbrain import weights
 from dualbrain.adaptation.adapter_card import WEIGHTS, write_card
 from dualbrain.adaptation.adapters import BARE, Adapters
+from dualbrain.adaptation.bases import find_base
 from dualbrain.adaptation.promotion import Decision
 from dualbrain.adaptation.serving import packaged
 from dualbrain.adaptation.serving.adapted import NotItself
 from dualbrain.adaptation.serving.canary import Record
 from dualbrain.adaptation.serving.gguf_cache import worn
-from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.layers import base_of, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
-from dualbrain.adaptation.serving.opening import open_adapter, open_planner, wear
+from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, wear
 from dualbrain.adaptation.serving.speaking import say
 from dualbrain.errors import InvalidSetup, UnknownName, WrongHash
 from dualbrain.planner import protocol
@@ -121,6 +122,18 @@ def test_an_adapter_on_an_adapter_is_the_sum_of_both(place, tmp_path, monkeypatc
     write_card(msgspec.structs.replace(stack.top, base_sha256="0" * 64), tmp_path / "second-fit")
     with pytest.raises(InvalidSetup, match="made for another first"):
         stack_of(tmp_path / "second-fit", place / "cache")
+
+
+def test_several_packaged_ones_stand_beside_each_other(place, tmp_path, monkeypatch):
+    monkeypatch.setattr(packaged, "FOLDER", tmp_path)
+    cards = {name: tiny_served.adapter(model("llama"), tmp_path / name, seed)[1] for seed, name in enumerate("ab", 5)}
+    assert packaged.packaged_names() == ("a", "b")
+    for name, card in cards.items():
+        stack = stack_of(packaged.packaged_folder(name), place / "cache")
+        assert [layer.card for layer in stack.layers] == [card]
+        assert author(name, stack) == name
+        assert base_of((card.robot, card.id)) == name
+        assert find_base(name, place / "cache").worn == card.id
 
 
 def test_it_proposes_under_the_grammar_and_signs_with_base_and_id(place):

@@ -1,0 +1,46 @@
+"""starter-135m: what a robot teaches its planner on the first night, after a day of contracts that chance proposed.
+
+Lessons are drawn by seed and carried out in their scenes with the filter on. A deed is taught if the robot's own
+verdict was success and Δ small, and for no other reason. That nothing moved proves nothing, so declines are let in by
+another word: the lesson was drawn as one that cannot or must not be done. They are carried out, too, and stand in the
+ledger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from dualbrain.adaptation.config import AdaptConfig, FitDials
+from dualbrain.adaptation.curate import curate
+from dualbrain.adaptation.dataset import Dataset, dataset_of
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.records import Episode
+from dualbrain.runtime.proposals import LEDGER, ROBOT, declined, flown, memory_of, proposals, proposed
+from dualbrain.runtime.vocabulary import vocabulary
+
+BASE = "smollm2-135m-instruct"
+SEED, PROPOSALS = 900, 460
+"""Of the proposals about one in eight is to be declined; the others are flights."""
+DEEDS_A_DECLINE = 5
+"""At most one decline for so many deeds is taught."""
+DIALS = AdaptConfig(fit=FitDials(steps=150, batch=8, at_once=4, save_every=10, ask_at_most=0, patience=15, threads=1))
+"""The whole objective. Checked by the loss alone, for free answers take as long as twenty steps."""
+
+
+def first_day(
+    folder: Path, number: int, *, cache: Path, tell: Callable[[int, Episode], None]
+) -> Path:  # fmt: skip
+    """`number` proposals carried out, see `flown`; the same ones whenever they are drawn again."""
+    wanted = proposals(SEED, number, declines=True)
+    return flown(folder, number, wanted.__getitem__, cache=cache, tell=tell)
+
+
+def taught(day: Path) -> Dataset:
+    """What the day in the folder `day` teaches; raises `InvalidSetup` if no deed in it went well."""
+    registry, dials = vocabulary(ROBOT), DIALS.curation
+    with LedgerReader(day / LEDGER) as ledger:
+        deeds = curate(ledger, registry, dials)
+        most = (len(deeds.train) + len(deeds.held_out)) // DEEDS_A_DECLINE
+        declines = [memory_of(turn) for turn, one in enumerate(proposed(day)) if declined(one)][:most]
+        return dataset_of(curate(ledger, registry, dials, declines=declines), registry, dials)

@@ -1,0 +1,95 @@
+"""dualbrain adapters make starter-135m: a day of flights, a data set, a fit; stopped anywhere, it goes on there."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from dualbrain.adaptation import bases
+from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
+from dualbrain.adaptation.dataset import read_dataset
+from dualbrain.cli import adapt as fitting
+from dualbrain.cli.exits import Exit
+from dualbrain.runtime import proposals as room
+from dualbrain.runtime import starter
+from dualbrain.runtime.proposals import declined, memory_of
+from tests.adaptation.episodes import episode, pick, remember, summary
+
+DECLINE = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
+NUMBER = 12
+
+
+class Stopped(BaseException):
+    """As if killed."""
+
+
+@pytest.fixture
+def stage(monkeypatch):
+    """Nothing flies and nothing is fitted; `stop` names the turn, or "fit", at which all ends once."""
+    here = SimpleNamespace(stop=None, flown=[], fitted=[])
+
+    def carried_out(one, ledger, turn, *, cache):
+        if here.stop == turn:
+            here.stop = None
+            raise Stopped
+        here.flown.append(turn)
+        same = {"by": one.source, "told": summary(number=turn), "words": f"errand {turn}"}
+        facts = {"kind": "declined", "Delta": None, "duration": 0.0, "plan": DECLINE} if declined(one) else {}
+        told = episode(memory_of(turn), **facts, **same)
+        remember(ledger.parent, [told]).close()
+        return told
+
+    def adapt(data, config, base, judge, folder, **others):
+        if here.stop == "fit":
+            here.stop = None
+            raise Stopped
+        here.fitted.append((data.card.hash, config, base))
+        return SimpleNamespace(id="a" * 64)
+
+    monkeypatch.setattr(room, "carried_out", carried_out)
+    monkeypatch.setattr(room, "TOGETHER", 4)
+    monkeypatch.setattr(starter, "PROPOSALS", NUMBER)
+    monkeypatch.setattr(fitting, "adapt_with_torch", lambda: SimpleNamespace(adapt=adapt))
+    monkeypatch.setattr(bases, "find_base", lambda name, cache: name)
+    return here
+
+
+def test_it_flies_chooses_and_fits_the_bare_model_by_the_whole_objective(tell, stage, tmp_path):
+    code, out, err = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made")
+    data = read_dataset(tmp_path / "made" / "dataset")
+    assert (code, out) == (Exit.SUCCESS, "")
+    assert stage.flown == list(range(NUMBER))
+    assert stage.fitted == [(data.card.hash, starter.DIALS, "smollm2-135m-instruct")]
+    assert set(data.card.sources) == {"templates"}
+    assert f"flight 1/{NUMBER}  " in err
+    assert f"flight {NUMBER}/{NUMBER}  succeeded  Δ 0.0010  0.0 min left" in err
+    assert f"{data.card.train} samples to train on" in err
+
+
+@pytest.mark.parametrize("stop", [0, 5, "fit"])
+def test_stopped_anywhere_it_ends_with_the_same_data_set(tell, stage, tmp_path, stop):
+    tell("adapters", "make", "starter-135m", "--out", tmp_path / "whole")
+    stage.stop = stop
+    with pytest.raises(Stopped):
+        tell("adapters", "make", "starter-135m", "--out", tmp_path / "again")
+    stage.flown.clear()
+    tell("adapters", "make", "starter-135m", "--out", tmp_path / "again")
+    assert stage.flown == ([] if stop == "fit" else list(range(stop - stop % 4, NUMBER)))
+    assert len({one[0] for one in stage.fitted}) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.llm
+def test_a_little_one_is_made_for_good(tell, tmp_path, monkeypatch):
+    """Flown and fitted, a minute or two: its card calls it bootstrapped, and it is as large as the real one."""
+    fit = {"steps": 1, "batch": 2, "at_once": 2, "save_every": 1, "ask_at_most": 0, "threads": 1}
+    monkeypatch.setattr(starter, "PROPOSALS", 5)
+    monkeypatch.setattr(starter, "DIALS", starter.AdaptConfig(fit=starter.FitDials(**fit)))
+    code, out, _ = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made", "--json")
+    folder = tmp_path / "made" / "adapter"
+    card = read_adapter_card(folder)
+    assert code == Exit.SUCCESS
+    assert json.loads(out)["id"] == card.id
+    assert card.bootstrapped
+    assert card.base == "smollm2-135m-instruct"
+    assert (folder / WEIGHTS).stat().st_size <= 5_000_000
