@@ -21,6 +21,7 @@ from proofs.poisoning import Poisoning
 from proofs.proof import Proof
 from proofs.retention import Retention
 from proofs.robots import Robots
+from proofs.rounds import Rounds
 from proofs.runs import Contrast, Runs
 from proofs.sweep import Sweep
 from proofs.tick import Tick
@@ -31,7 +32,7 @@ PROOFS: dict[str, Proof] = {
     for proof in (
         Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
         PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
-        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(),
+        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(), Rounds(),
         Outsider(),
     )
 }  # fmt: skip

@@ -16,6 +16,7 @@ from proofs.learnable import families
 from proofs.origin import machine
 from proofs.plot import plot
 from proofs.plot_learning import plot_learning
+from proofs.plot_rounds import plot_rounds
 from proofs.plot_tick import plot_tick
 from proofs.proof import Proof, Row
 
@@ -50,6 +51,8 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
             section += ["", "![Δ by contract, family and seed](families.png)", ""]
         if proof.name == "learning":
             plot_learning(rows, docs / PICTURES / "learning.png")
+        if proof.name == "rounds":
+            plot_rounds(rows, docs / PICTURES / "rounds.png")
         sections[proof.name] = section
     names = sorted(sections, key=lambda name: order.index(name) if name in order else len(order))
     _between(docs / "proofs.md", [line for name in names for line in (f"## {name}", "", *sections[name], "")])

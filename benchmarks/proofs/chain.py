@@ -1,0 +1,258 @@
+"""One chain of rounds: the planner proposes, what it proposed is carried out, what went well is fitted from the base.
+
+The adapter of a round plans in the next one. Nobody else proposes anything. Everything lies in a folder of its own and
+is done once: stopped in any way, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import msgspec
+
+from dualbrain.adaptation.adapter_card import CARD, AdapterCard, proposed_by_others, read_adapter_card
+from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.compliance import gate_judge
+from dualbrain.adaptation.config import AdaptConfig, FitDials
+from dualbrain.adaptation.curate import curate
+from dualbrain.adaptation.dataset import CARD as DATASET_CARD
+from dualbrain.adaptation.dataset import Dataset, dataset_of, read_dataset, write_dataset
+from dualbrain.adaptation.lessons.score import score
+from dualbrain.adaptation.sample import Sample, answer
+from dualbrain.adaptation.serving.layers import Stack, stack_of
+from dualbrain.adaptation.serving.opening import N_CTX, author, wear
+from dualbrain.adaptation.serving.packaged import packaged_folder
+from dualbrain.cli import folders
+from dualbrain.contracts.contract import Contract
+from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.asking import FREE
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.records import Episode
+from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.runtime.proposals import LEDGER, ROBOT, carried_out, declined, flown, proposals, turn_of
+from dualbrain.runtime.simulated import own_goals
+from dualbrain.runtime.steps import alone, carry_on
+from dualbrain.runtime.storable import storable
+from dualbrain.runtime.thinking import PLANNING_TIME
+from dualbrain.runtime.vocabulary import vocabulary
+from proofs.language import by_chance, free, judged, right
+from proofs.proof import Row
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.fitting.loop import Progress
+
+BASE = "base-135m"
+PLACES, ASKED = 120, 120
+"""Held-out places, the same for every round; instructions of a round, others in each."""
+TEMPERATURE = 0.7
+"""Of what a planner proposes while it gathers experience; where it is measured it answers greedily."""
+TOGETHER = 5
+"""Held-out episodes in one step."""
+HELD_OUT_SEED, FIRST_SEED = 21, 100
+"""Of the held-out places; of the first instructions of the first chain."""
+DIALS = AdaptConfig(
+    fit=FitDials(steps=60, batch=8, at_once=4, save_every=5, ask_at_most=0, patience=12, threads=1)
+)  # fmt: skip
+EPISODES, SECONDS = "episodes.jsonl", "seconds.txt"
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The rounds of one `seed` in `folder`; round 0 is the base."""
+
+    seed: int
+    folder: Path
+
+    def planner(self, number: int) -> Stack:
+        """Who plans in round `number`: the base, or the base with the adapter that all rounds before it led to."""
+        folder = self.adapter(number) if number else packaged_folder(BASE)
+        return stack_of(folder, folders.cache())
+
+    def adapter(self, number: int) -> Path:
+        """What the rounds before `number` taught, always fitted from the base; the folder with its card."""
+        folder = self.folder / f"fit {number}"
+        with alone(folder):
+            if not (folder / "adapter" / CARD).is_file():
+                if not (folder / "dataset" / DATASET_CARD).is_file():
+                    write_dataset(chosen(self.lived(number) / LEDGER), folder / "dataset")
+                fit(read_dataset(folder / "dataset"), self.seed, folder)
+        return folder / "adapter"
+
+    def lived(self, number: int) -> Path:
+        """The folder with the ledger of everything that was proposed in the rounds before `number`."""
+        last, start = number - 1, self.lived(number - 1) if number > 1 else None
+        first = last * ASKED
+        with speaking(self.planner(last)) as (planner, name):
+
+            def propose(turn: int) -> Sample:
+                question = instructions(self.seed, last)[turn - first]
+                text = by_chance(planner(), question.prompt, TEMPERATURE, turn)
+                return said_by(question, storable(text), name)
+
+            return flown(
+                self.folder / f"proposed in round {last}", ASKED, propose, first=first, start=start,
+                cache=folders.cache(),
+            )  # fmt: skip
+
+    def taught(self, number: int) -> Row:
+        """What the adapter of round `number` was taught, and what that cost."""
+        folder = self.adapter(number).parent
+        card, data = read_adapter_card(folder / "adapter"), read_dataset(folder / "dataset")
+        return {
+            "adapter": card.id, "base_sha256": card.base_sha256, "bootstrapped": card.bootstrapped,
+            "sources": card.sources, "dataset": card.dataset, "proposed": data.card.memories,
+            "samples": data.card.train, "as_said": sum(self.as_said(one) for one in data.train),
+            "left_out": data.card.left_out, "fit_s": seconds(folder / SECONDS),
+        }  # fmt: skip
+
+    def as_said(self, one: Sample) -> bool:
+        """Whether what is taught does what its instruction says: nobody looks at that when it is chosen."""
+        last, place = divmod(turn_of(one.memory), ASKED)
+        question = instructions(self.seed, last)[place]
+        return score(one.contract, question.contract, vocabulary(ROBOT), lambda text: True).right
+
+    def measured(self, number: int) -> list[Row]:
+        """The held-out episodes of the planner of round `number`; of round 0 they are the same in every chain."""
+        with speaking(self.planner(number)) as (planner, name):
+
+            def some(step: int, here: Path) -> None:
+                with (here / EPISODES).open("ab") as lines:
+                    for turn in range(step * TOGETHER, min(PLACES, (step + 1) * TOGETHER)):
+                        text = storable(free(planner(), places()[turn]))
+                        lines.write(msgspec.json.encode(episode(turn, text, name)) + b"\n")
+
+            last = carry_on(self.folder / f"measured in round {number}", -(-PLACES // TOGETHER), some)
+        return [msgspec.json.decode(line) for line in (last / EPISODES).read_bytes().splitlines()]
+
+
+# --- questions --------------------------------------------------------------------------------------------------------
+
+
+@cache
+def places() -> tuple[Sample, ...]:
+    """Scenes and words of the held-out part, as they come: about one in eight is to be declined."""
+    return lessons(PLACES, "test", HELD_OUT_SEED, {ROBOT: 1.0}, exemplars=0.0)
+
+
+@cache
+def instructions(seed: int, number: int) -> tuple[Sample, ...]:
+    """What the planner of a round is asked for in the chain of `seed`: deeds, in scenes and words that are taught."""
+    return proposals(FIRST_SEED + 10 * seed + number, ASKED)
+
+
+@contextmanager
+def speaking(stack: Stack) -> Generator[tuple[Callable[[], LlamaPlanner], str]]:
+    """Gives the planner of `stack`, started when it is first wanted, and its name; ended afterwards."""
+    opened: list[LlamaPlanner] = []
+
+    def planner() -> LlamaPlanner:
+        if not opened:
+            opened.append(wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE))
+        return opened[0]
+
+    try:
+        yield planner, author(stack.layers[-1].folder.name, stack)
+    finally:
+        for one in opened:
+            one.close()
+
+
+def said_by(question: Sample, text: str, name: str) -> Sample:
+    """The question with what `name` answered."""
+    return msgspec.structs.replace(question, completion=answer(text), source=name)
+
+
+# --- teaching ---------------------------------------------------------------------------------------------------------
+
+
+def chosen(ledger: Path) -> Dataset:
+    """D_clean of the ledger, in which only the model that is adapted has proposed anything."""
+    registry, dials = vocabulary(ROBOT), DIALS.curation
+    with LedgerReader(ledger) as reader:
+        data = dataset_of(curate(reader, registry, dials), registry, dials)
+    assert not proposed_by_others(data.card.sources, BASE), data.card.sources
+    return data
+
+
+def fit(data: Dataset, seed: int, folder: Path) -> AdapterCard:
+    """Fit an adapter of the base in `folder`, or go on with the fit there."""
+    from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
+
+    config = msgspec.structs.replace(DIALS, fit=msgspec.structs.replace(DIALS.fit, seed=seed))
+    with (folder / SECONDS).open("a", buffering=1) as told:
+        return adapt(
+            data, config, find_base(BASE, folders.cache()), gate_judge(vocabulary(ROBOT)), folder,
+            cache=folders.cache(), clock=time.monotonic, tell=step_times(told, time.monotonic),
+        )  # fmt: skip
+
+
+def step_times(told: TextIO, clock: Callable[[], float]) -> Callable[[Progress], None]:
+    """Writes a line for each step: its number and how long it took [s], the first one with all that comes before it."""
+    last = [clock()]
+
+    def tell(progress: Progress) -> None:
+        last.append(clock())
+        print(progress.step, last[-1] - last[-2], file=told)
+
+    return tell
+
+
+def seconds(path: Path) -> float:
+    """How long a fit took [s]; a step that was taken again after a stop counts once."""
+    return sum({step: float(took) for step, took in (line.split() for line in path.read_text().splitlines())}.values())
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+
+def episode(turn: int, text: str, name: str) -> Row:
+    """One held-out place: the answer judged, and carried out if the gate accepts it.
+
+    "success": the answer does what was said, the robot says so, and where something was put truth agrees; where nothing
+    can be done, nothing moved.
+    """
+    question = places()[turn]
+    told, one = judged(question, text), said_by(question, text, name)
+    row: Row = {
+        "id": question.id, "scene": question.scene, "text": text, "to_decline": told["declines"],
+        "compliant": bool(told["compliant"]), "right": right(told),
+    }  # fmt: skip
+    if not setting_of(question.scene).accepts(text.encode()):
+        ended = unmoved("rejected")
+    elif declined(one):
+        ended = unmoved("declined")
+    else:
+        with tempfile.TemporaryDirectory(prefix="dualbrain-rounds-") as folder:
+            flight = carried_out(one, Path(folder) / LEDGER, turn, cache=folders.cache())
+        ended = became(flight)
+    moved = ended["completion_s"] is not None
+    return {**row, **ended, "success": not moved if row["to_decline"] else row["right"] and ended["done"]}
+
+
+def unmoved(outcome: str) -> Row:
+    """Nothing was carried out."""
+    return {"outcome": outcome, "Delta": None, "frequency": None, "completion_s": None, "done": False, "violations": 0}
+
+
+def became(flight: Episode) -> Row:
+    """What became of a contract that was carried out; [s] from the question, with the time that any planner is given.
+
+    "done": the robot says that it succeeded, and where it put something somewhere truth agrees.
+    """
+    outcome, judgement = flight.outcome, flight.judgement
+    if flight.contract is None:
+        return unmoved(outcome.kind)
+    puts = own_goals(msgspec.convert(flight.contract, Contract)) is not None
+    truth = not puts or bool(judgement and judgement.success)
+    return {
+        "outcome": outcome.kind, "Delta": outcome.Delta, "frequency": outcome.intervention_frequency,
+        "completion_s": PLANNING_TIME + outcome.duration, "done": outcome.kind == "succeeded" and truth,
+        "violations": len(judgement.violations) if judgement else 0,
+    }  # fmt: skip
