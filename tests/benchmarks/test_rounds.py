@@ -90,7 +90,8 @@ def stage(small, monkeypatch):
     monkeypatch.setattr(room, "TOGETHER", 4)
     told = {
         "carried_out": carried_out, "by_chance": by_chance, "stack_of": stack_of,
-        "find_base": lambda name, cache: BASE, "free": lambda planner, question: question.contract,
+        "find_base": lambda name, cache: BASE if name == BASE.name else Base(name, cache, "other"),
+        "free": lambda planner, question: question.contract,
         "wear": lambda *stack, **asking: SimpleNamespace(close=lambda: None),
     }  # fmt: skip
     for name, stub in told.items():
