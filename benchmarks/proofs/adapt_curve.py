@@ -46,8 +46,10 @@ from proofs.figures import table
 from proofs.language import LONGEST, by_chance, judged, right
 from proofs.proof import Options, Row, Unit
 
-SEEDS, STEPS, FLIGHTS = range(3), (50, 150), 400
-A_SLICE, CARRIED_OUT, DRAWN, DRAWS = 20, 24, 5, 16
+SEEDS, FLIGHTS = range(3), 240
+STEPS, HALFWAY, BATCH = 100, 50, 4
+"""Of a fit, and of a shorter one beside it, whose rate falls as far; samples of a step."""
+A_SLICE, CARRIED_OUT, DRAWN, DRAWS = 20, 16, 3, 16
 """Questions of each slice, answers that are carried out, questions that are drawn from, draws of each."""
 EPSILON = CleanRules().epsilon
 PLAIN = ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none")
@@ -62,6 +64,8 @@ TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
 }
 """By arm: whether only clean episodes are taught, and the objective."""
 ASKED_ONLY = ("base", "base, long prompt")
+HALF_AS_WELL = ("full", "sft, clean ones")
+"""Arms that are also fitted for half of the steps."""
 MEASURES = ("compliant", "skills", "right", "quiet", "valid draws")
 
 
@@ -71,18 +75,17 @@ class AdaptCurve:
     name = "adapt_curve"
     claim = (
         f"From {FLIGHTS} random valid proposals, each carried out once: free one-shot compliance, right skills, right "
-        "things, and parameters that the filter leaves alone, by arm, over fits of up to 150 steps."
+        f"things, and parameters that the filter leaves alone, by arm, after {HALFWAY} and {STEPS} steps of {BATCH}."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """The arms that need no fit, then seed by seed the long fits, then the short ones."""
+        """The arms that need no fit, then seed by seed the whole fits, then the shorter ones."""
+        fits = [(seed, arm, STEPS) for seed in SEEDS for arm in TAUGHT]
+        fits += [(seed, arm, HALFWAY) for seed in SEEDS for arm in HALF_AS_WELL]
         folder = str(options.folder / self.name)
-        told: list[dict[str, Any]] = [{"arm": arm, "seed": 0, "steps": 0} for arm in ASKED_ONLY]
-        told += [
-            {"arm": arm, "seed": seed, "steps": steps} for steps in reversed(STEPS) for seed in SEEDS for arm in TAUGHT
-        ]
         return [
-            Unit(f"{one['arm']}, seed {one['seed']}, {one['steps']} steps", {**one, "folder": folder}) for one in told
+            Unit(f"{arm}, seed {seed}, {steps} steps", {"arm": arm, "seed": seed, "steps": steps, "folder": folder})
+            for seed, arm, steps in [*((0, arm, 0) for arm in ASKED_ONLY), *fits]
         ]
 
     def run(self, about: dict[str, Any]) -> Row:
@@ -130,7 +133,8 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
 
     clean, objective = TAUGHT[arm]
     config = AdaptConfig(
-        objective=objective, fit=FitDials(steps=steps, seed=seed, save_every=25, ask_at_most=0, threads=1)
+        objective=objective,
+        fit=FitDials(steps=steps, batch=BATCH, at_once=BATCH, seed=seed, save_every=25, ask_at_most=0, threads=1),
     )
     data = taught(day(folder, seed), clean=clean)
     began, busy = time.monotonic(), time.process_time()

@@ -1,21 +1,15 @@
-"""retention: what a model still knows of the rest of the world after it was taught contracts.
+"""retention: what a model still knows of the rest of the world after lessons, and after a night of adaptation.
 
-The same lessons are taught without the KL term (that is base-135m) and with it. Measured in the runtime that serves:
-perplexity of a fixed text of no robot's, and plain questions whose answers must hold a word.
+The nights are those of `adapt_curve`, without the KL term, with it, and with the whole objective. Measured in the
+runtime that serves: perplexity of a fixed text of no robot's, and plain questions whose answers must hold a word.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from dualbrain.adaptation.bases import find_base
-from dualbrain.adaptation.config import ObjectiveDials
-from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course, language_judge
 from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import N_CTX, wear
@@ -24,15 +18,14 @@ from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.llama import LlamaConfig
-from dualbrain.runtime.classroom import ROBOTS, lessons
-from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.weights import find_file, locate
+from proofs import adapt_curve
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
 
-BASE = "smollm2-135m-instruct"
-BETA = ObjectiveDials().beta
-ARMS = {"before": None, "after, β = 0": 0.0, f"after, β = {BETA:g}": BETA}
+BARE, BASE = "smollm2-135m-instruct", "base-135m"
+NIGHTS = ("sft, clean ones", "+ KL", "full")
+"""Arms of `adapt_curve`: β = 0, the default β, the whole objective with it."""
 LONGEST = 40
 QUESTIONS = (
     ("What is the capital of France?", "paris"), ("What is the capital of Italy?", "rome"),
@@ -54,16 +47,20 @@ class Retention:
 
     name = "retention"
     claim = (
-        "Perplexity of a text of no robot's and 20 plain questions, before and after the lessons, with and without KL."
+        "Perplexity of a text of no robot's and 20 plain questions: of the bare model, after the lessons of the base, "
+        f"and after a night from there, without KL (β = 0), with it (β = {adapt_curve.FULL.beta:g}), and with all."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """Before, and after each way of teaching."""
-        return [Unit(arm, {"arm": arm, "folder": str(options.folder / self.name)}) for arm in ARMS]
+        """Bare and base, then the nights seed by seed."""
+        folder = str(options.folder / adapt_curve.AdaptCurve.name)
+        nights = [(arm, seed) for seed in adapt_curve.SEEDS for arm in NIGHTS]
+        told = [(BARE, 0), (BASE, 0), *nights]
+        return [Unit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in told]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Teach if need be, then ask."""
-        stack = taught(ARMS[about["arm"]], Path(about["folder"]))
+        """Fit if `adapt_curve` has not yet, then ask."""
+        stack = taught(about["arm"], about["seed"], Path(about["folder"]))
         planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
         try:
             measured = perplexity(planner, retention_text())
@@ -73,7 +70,7 @@ class Retention:
             planner.close()
         texts = [one.text if isinstance(one, Said) else "" for one in said]
         found = measured if isinstance(measured, float) else math.nan
-        return {"arm": about["arm"], "perplexity": found, "texts": texts,
+        return {"arm": about["arm"], "seed": about["seed"], "perplexity": found, "texts": texts,
                 "right": list(map(known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
 
     def brief(self, row: Row) -> str:
@@ -81,9 +78,14 @@ class Retention:
         return f"perplexity {row['perplexity']:.2f}, {sum(row['right'])} of {len(row['right'])} known"
 
     def report(self, rows: list[Row]) -> list[str]:
-        """One line a way of teaching."""
-        cells = ((r["arm"], f"{r['perplexity']:.2f}", share(sum(r["right"]), len(r["right"]))) for r in rows)
-        return table(("", "perplexity", "questions known"), cells)
+        """One line an arm: perplexity of each seed, questions of all."""
+        by_arm = {arm: [row for row in rows if row["arm"] == arm] for arm in (BARE, BASE, *NIGHTS)}
+        cells = (
+            (arm, ", ".join(f"{row['perplexity']:.2f}" for row in mine),
+             share(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)))
+            for arm, mine in by_arm.items() if mine
+        )  # fmt: skip
+        return table(("", "perplexity, by seed", "questions known"), cells)
 
 
 def known(text: str, words: str) -> bool:
@@ -91,19 +93,11 @@ def known(text: str, words: str) -> bool:
     return any(word in text.lower() for word in words.split("|"))
 
 
-def taught(beta: float | None, folder: Path) -> Stack:
-    """The bare model, base-135m, or the model taught the same lessons with the KL term; that is fitted here."""
-    if beta is None:
-        return Stack(find_file(BASE).name, locate(BASE, folders.cache()), ())
-    if beta == 0.0:
-        return stack_of(packaged_folder("base-135m"), folders.cache())
-    from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
-
-    registries = {robot: vocabulary(robot) for robot in ROBOTS}
-    dials = msgspec.structs.replace(DIALS, objective=msgspec.structs.replace(DIALS.objective, beta=beta))
-    data = course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries)
-    adapt(
-        data, dials, find_base(BASE, folders.cache()), language_judge(registries), folder, cache=folders.cache(),
-        clock=time.monotonic, tell=lambda progress: None,
-    )  # fmt: skip
-    return stack_of(folder / "adapter", folders.cache())
+def taught(arm: str, seed: int, folder: Path) -> Stack:
+    """The bare model, the base, or the base after a night."""
+    if arm == BARE:
+        return Stack(find_file(BARE).name, locate(BARE, folders.cache()), ())
+    if arm == BASE:
+        return stack_of(packaged_folder(BASE), folders.cache())
+    adapt_curve.fit(arm, seed, adapt_curve.STEPS, folder)
+    return stack_of(adapt_curve.place(arm, seed, adapt_curve.STEPS, folder) / "adapter", folders.cache())

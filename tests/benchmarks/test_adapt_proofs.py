@@ -48,19 +48,26 @@ def test_tables_name_every_slice_and_arm(drawn):
     text = "\n".join(language.by_slice(answers))
     assert "| all | 40 of 40" in text
     assert "to be declined" in text
+    answered = [{"slice": name, **one} for one in answers for name in adapt_curve.SLICES]
+    told = {"steps": adapt_curve.STEPS, "valid_draws": 0.5, "answers": answered}
     rows = [
-        {"arm": arm, "seed": seed, "steps": 150, "valid_draws": 0.5, "answers": [{"slice": n, **one} for one in answers
-         for n in adapt_curve.SLICES], "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
+        {"arm": arm, "seed": seed, **told, "flights": [{"kind": "succeeded", "Delta": 0.001 * seed}]}
         for arm in adapt_curve.TAUGHT for seed in adapt_curve.SEEDS
     ]  # fmt: skip
     report = "\n".join(adapt_curve.AdaptCurve().report(rows))
     for arm in adapt_curve.TAUGHT:
-        assert f"| {arm} | 150 | 3 | 100% ± 0%" in report
+        assert f"| {arm} | {adapt_curve.STEPS} | 3 | 100% ± 0%" in report
     assert adapt_curve.interval([0.0, 0.1, 0.2]) == "10% ± 25%"
 
 
 def test_a_known_answer_holds_one_of_the_words():
     assert retention.known("It has Eight legs.", "eight|8")
     assert not retention.known("It has many legs.", "eight|8")
-    rows = [{"arm": arm, "perplexity": 9.5, "right": [True, False]} for arm in retention.ARMS]
-    assert "| before | 9.50 | 1 of 2" in "\n".join(retention.Retention().report(rows))
+    rows = [
+        {"arm": arm, "perplexity": 9.5 + seed, "right": [True, False]} for arm in (retention.BASE, *retention.NIGHTS)
+        for seed in range(1 if arm == retention.BASE else 2)
+    ]  # fmt: skip
+    report = "\n".join(retention.Retention().report(rows))
+    assert "| base-135m | 9.50 | 1 of 2" in report
+    assert "| full | 9.50, 10.50 | 2 of 4" in report
+    assert retention.BARE not in report
