@@ -12,7 +12,7 @@ from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.runner import Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
-from dualbrain.evaluation.suite import check_planners, open_suite, read_suite, shipped
+from dualbrain.evaluation.suite import check_planners, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
 from tests.evaluation.rows import COLLISION, row
@@ -67,6 +67,15 @@ def test_a_run_with_memory_is_one_unit_with_its_scenes_again_and_again(suite):
     runs = [unit for unit in units_of(suite, "fly") if unit.method == "M"]
     assert [unit.count for unit in runs] == [6, 6]
     assert list(runs[0].order) == [(40000, 0), (40002, 0), (40000, 1), (40002, 1), (40000, 2), (40002, 2)]
+
+
+def test_what_is_done_every_so_many_th_repetition_is_a_matter_of_the_repetition_alone():
+    assert [k for k in range(10) if is_due(5, k)] == [0, 5]
+    assert all(is_due(1, k) and not is_due(0, k) for k in range(10))
+    read_suite(SUITE + b"utility = 5\n", "tiny.toml")
+    for said in (b"utility = true", b"utility = -1"):
+        with pytest.raises(InvalidSetup, match="utility"):
+            read_suite(SUITE + said, "tiny.toml")
 
 
 def test_any_prefix_compares_the_same_runs(suite):

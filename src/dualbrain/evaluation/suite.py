@@ -40,13 +40,13 @@ class MemoryPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How methods with memory begin. `start`: episodes that are flown into the ledger from which all of them start.
 
     `epsilon` is ε, or `"pilot"`: the median Δ of the successes among `pilot` episodes of B3 by the base planner, frozen
-    before any test. `utility`: the planner is asked again without each exemplar.
+    before any test. `utility`: every so many-th repetition the planner is asked again without each exemplar; 0: never.
     """
 
     start: int = 0
     epsilon: float | str = 0.003
     pilot: int = 0
-    utility: bool = False
+    utility: int = 0
 
 
 class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -54,8 +54,9 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Every method flies `seeds` scenes of each task, each `repetitions` times. The scenes are dealt to `runs` runs; a
     method with memory flies a run in its order with a fresh ledger, and runs are the unit of statistics of all methods.
-    `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …). `bare`: each
-    contract is flown once more, unfiltered in the bare scene, for the seconds lost. `gallery`: failures with pictures.
+    `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …). `bare`: every so
+    many-th repetition the contract is flown once more, unfiltered in the bare scene, for the seconds lost; 0: never.
+    `gallery`: failures with pictures.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     first: int = TEST.start
     shots: int = 1
     planning_time: float = 2.0
-    bare: bool = False
+    bare: int = 0
     gallery: int = 6
     memory: MemoryPart = MemoryPart()
 
@@ -87,6 +88,11 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def robots_of(self, task: Task) -> tuple[str, ...]:
         """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
         return task.robots or tuple(robot for robot in self.robots if task.family in families_of(robot))
+
+
+def is_due(every: int, repetition: int) -> bool:
+    """Whether what is done every so many-th repetition, or never (0), is done in this one: the same for all methods."""
+    return every > 0 and repetition % every == 0
 
 
 def shipped() -> tuple[str, ...]:
@@ -155,6 +161,9 @@ def _check_numbers(suite: Suite) -> None:
     if min(suite.seeds, suite.repetitions, suite.runs, suite.shots) < 1 or suite.runs > suite.seeds:
         got = (suite.seeds, suite.repetitions, suite.runs)
         raise InvalidSetup("seeds, repetitions, runs", got=got, allowed="at least 1 each, and no more runs than seeds")
+    for what, every in (("bare", suite.bare), ("memory utility", suite.memory.utility)):
+        if every < 0:
+            raise InvalidSetup(what, got=every, allowed="every so many-th repetition, or 0 for never")
     seeds = range(suite.first, suite.first + suite.seeds)
     if seeds[0] not in TEST or seeds[-1] not in TEST:
         raise InvalidSetup("seeds", got=f"{seeds[0]} to {seeds[-1]}", allowed=f"{TEST[0]} to {TEST[-1]}, for tests")

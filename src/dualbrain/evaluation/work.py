@@ -20,7 +20,7 @@ from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.planners import DRAWN, Planners, Sources, planner_name
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
 from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.suite import Suite, is_due
 from dualbrain.evaluation.unit import Unit
 from dualbrain.memory.encoder import Encoder, MiniLmEncoder
 from dualbrain.memory.store import Memory
@@ -86,11 +86,12 @@ class Work:
         planner = self._planners.of(method, case.robot)
         before = planner.asked
         flight = fly(case, method, self._means(place, planner, memory))
-        if memory is not None and self._suite.memory.utility and method.remembers:
+        if memory is not None and method.remembers and is_due(self._suite.memory.utility, case.repetition):
             flight = self._with_uses(flight, planner, case)
+        alone = method.guard and is_due(self._suite.bare, case.repetition)
         place = replace(
             place, asked=planner.asked > before and planner_name(self._suite, method) not in DRAWN,
-            lost_s=seconds_lost(case, flight, self._at.clock) if self._suite.bare and method.guard else None,
+            lost_s=seconds_lost(case, flight, self._at.clock) if alone else None,
         )  # fmt: skip
         if memory is not None:
             epsilon = self._at.epsilon[case.robot] * method.epsilon_factor
