@@ -230,9 +230,10 @@ def test_an_adapter_is_what_peft_loads(tmp_path):
     one.wear({name: tensor.to(torch.bfloat16).float() for name, tensor in one.adapter().items()})
     loaded = peft.PeftModel.from_pretrained(model(), tmp_path / "adapter")
     batch = collate(samples(3), one.padding)
+    mask = batch.ids != one.padding
     with torch.no_grad():
-        ours, theirs = (m(input_ids=batch.ids, attention_mask=batch.mask).logits for m in (one.model, loaded))
-        base = model()(input_ids=batch.ids, attention_mask=batch.mask).logits
+        ours, theirs = (m(input_ids=batch.ids, attention_mask=mask).logits for m in (one.model, loaded))
+        base = model()(input_ids=batch.ids, attention_mask=mask).logits
     assert torch.equal(ours, theirs)
     assert not torch.allclose(ours, base)
     assert json.loads((tmp_path / "adapter" / "adapter_config.json").read_text())["r"] == DIALS.rank

@@ -61,7 +61,7 @@ def test_without_lambda_and_beta_it_is_plain_fine_tuning_step_for_step():
         batch = collate(some, theirs.padding)
         labels = torch.full_like(batch.ids, IGNORED)
         labels[:, 1:] = batch.targets[:, :-1]
-        oracle = theirs.model(input_ids=batch.ids, attention_mask=batch.mask, labels=labels).loss
+        oracle = theirs.model(input_ids=batch.ids, attention_mask=batch.ids != theirs.padding, labels=labels).loss
         oracle.backward()
         plain.step()
         plain.zero_grad()

@@ -28,14 +28,13 @@ class Encoded:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Samples one below the other, padded.
+    """Samples one below the other, padded on the right.
 
-    Token `ids` (b, t), `mask` (b, t) of what is no padding, and `targets` (b, t): the token that each place predicts,
-    or `IGNORED` where that is not part of a contract.
+    Token `ids` (b, t), and `targets` (b, t): the token that each place predicts, or `IGNORED` where that is not part of
+    a contract.
     """
 
     ids: Tensor
-    mask: Tensor
     targets: Tensor
 
     @property
@@ -65,17 +64,19 @@ def collate(samples: Sequence[Encoded], padding: int, device: str = "cpu") -> Ba
     longest = max(len(one.prompt) + len(one.contract) for one in samples)
     shape = (len(samples), longest)
     ids, targets = torch.full(shape, padding), torch.full(shape, IGNORED)
-    mask = torch.zeros(shape, dtype=torch.long)
     for row, one in enumerate(samples):
         whole, first = (*one.prompt, *one.contract), len(one.prompt) - 1
         ids[row, : len(whole)] = torch.tensor(whole)
-        mask[row, : len(whole)] = 1
         targets[row, first : first + len(one.contract)] = torch.tensor(one.contract)
-    return Batch(ids.to(device), mask.to(device), targets.to(device))
+    return Batch(ids.to(device), targets.to(device))
 
 
 def contract_states(decoder: Any, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Final-norm hidden states (n, d) at the places that predict contract tokens, and those tokens (n,), row by row."""
-    hidden = decoder(input_ids=batch.ids, attention_mask=batch.mask, use_cache=False).last_hidden_state
+    """Final-norm hidden states (n, d) at the places that predict contract tokens, and those tokens (n,), row by row.
+
+    Without a mask, for none is needed: each place looks back only, and padding lies after all that is read. Attention
+    then computes half the square.
+    """
+    hidden = decoder(input_ids=batch.ids, use_cache=False).last_hidden_state
     places = batch.targets != IGNORED
     return hidden[places], batch.targets[places]

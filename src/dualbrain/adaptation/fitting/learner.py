@@ -60,7 +60,7 @@ class Learner:
         """Raise `InvalidSetup` if the model makes its logits otherwise than as hidden·headᵀ (scaled, capped)."""
         batch = collate([sample], self.padding, device=str(self.head.device))
         hidden, _ = contract_states(self.decoder, batch)
-        own = self.base(input_ids=batch.ids, attention_mask=batch.mask, use_cache=False).logits
+        own = self.base(input_ids=batch.ids, use_cache=False).logits
         last = len(sample.contract)
         theirs = own[0, len(sample.prompt) - 1 :][:last].float()
         ours = hidden.float() @ self.head.float().T
