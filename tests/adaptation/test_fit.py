@@ -4,16 +4,12 @@ import json
 import os
 import resource
 import signal
-from dataclasses import dataclass, field
-from pathlib import Path
 
-import msgspec
 import pytest
 
 from dualbrain.adaptation.config import AdaptConfig, ObjectiveDials
-from dualbrain.adaptation.dataset import Dataset, DatasetCard
+from dualbrain.adaptation.dataset import Dataset
 from dualbrain.adaptation.durable import DiskFull
-from dualbrain.adaptation.sample import Sample, answer
 from dualbrain.errors import InvalidSetup
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
@@ -21,66 +17,11 @@ peft = pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
 from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
 from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
-from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Diverged, Fit  # noqa: E402
-from dualbrain.adaptation.fitting.taught import prepare  # noqa: E402
+from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Diverged  # noqa: E402
+from tests.adaptation.bench import Bench, dataset, dials, exactly, sample  # noqa: E402
 from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
-
-ANSWERS = ("grasp cup", "place", "push tin", "go home")
-STATES = "states.safetensors"
-DEFAULT = AdaptConfig(fit=DIALS)
-
-
-def exactly(text, sample):
-    return text == sample.contract
-
-
-def sample(number, words=None):
-    said = ANSWERS[number % 4] if words is None else words
-    turns = [{"role": "user", "content": f"do {number}"}]
-    return Sample(
-        f"s{number}", turns, answer(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
-        (number,), "a test", (), (),
-    )  # fmt: skip
-
-
-def dataset(train=9, held_out=3, name="a"):
-    rows = tuple(sample(i) for i in range(train + held_out))
-    card = DatasetCard(name, "", "panda", "", "", "", 0, 0, train, held_out, 0, 0, 0, {}, {}, 0.0, 1.5, 4, 0.2, "")
-    return Dataset(card, rows[:train], rows[train:])
-
-
-@dataclass
-class Bench:
-    """A fit of a tiny model in `folder`."""
-
-    folder: Path
-    data: Dataset = field(default_factory=dataset)
-    config: AdaptConfig = DEFAULT
-    judge: object = exactly
-    clock: object = lambda: 0.0
-
-    def __post_init__(self):
-        self.folder.mkdir(exist_ok=True)
-        self.learner = learner(self.config.fit)
-        taught = prepare(self.learner, self.data, self.config.objective, "base", self.folder / STATES)
-        self.fit = Fit(
-            self.learner, taught, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock
-        )
-
-    def run(self, tell=lambda progress: None):
-        return self.fit.run(tell)
-
-    def left(self):
-        """What the fit leaves: checkpoint and best adapter, to the byte, and nothing half-written."""
-        names = {path.name for path in self.folder.iterdir()}
-        assert names == {CHECKPOINT, BEST, STATES}
-        return {name: (self.folder / name).read_bytes() for name in names}
-
-
-def dials(**changed):
-    return AdaptConfig(fit=msgspec.structs.replace(DIALS, **changed))
 
 
 @pytest.fixture(scope="module")

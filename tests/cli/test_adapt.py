@@ -8,8 +8,9 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.fitting.team import ALONE
 from dualbrain.cli import adapt as command
-from dualbrain.cli import when_idle
+from dualbrain.cli import launcher, when_idle
 from dualbrain.cli.exits import Exit
 from dualbrain.memory.events import ADAPTER, AdapterUse
 from dualbrain.memory.hashing import HashingEncoder
@@ -116,3 +117,24 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
     )
     assert code == Exit.SETUP
     assert "none.sqlite" in capfd.readouterr().err
+
+
+def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    for arguments in (("--out", "fit", "--dry-run"), ("--export", "set"), ("--out", "fit", "--when-idle")):
+        code, out, err = tell("adapt", *arguments)
+        assert (code, out) == (Exit.SETUP, "")
+        assert "adapt in several processes" in err
+    for arguments in (("adapt",), ("adapters", "make", "base-135m")):
+        code, out, err = tell(*arguments)
+        assert (code, out) == (Exit.SETUP, "")
+        assert "--out of a fit in several processes: got 'none'" in err
+
+
+def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
+    assert not launcher.launched({})
+    assert not launcher.launched({"WORLD_SIZE": "1"})
+    assert launcher.launched({"WORLD_SIZE": "2"})
+    launcher.account_of(ALONE).print("heard")
+    launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
+    assert capsys.readouterr().err == "heard\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from rich.table import Table
@@ -13,8 +13,12 @@ from rich.table import Table
 from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
+from dualbrain.cli.launcher import account_of, launched, team_here
 from dualbrain.cli.memory_open import reader, tell
 from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.fitting.team import Team
 
 DATASET = "dataset"
 
@@ -30,7 +34,8 @@ def adapt(
 
     Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
     one in which a person's hand was. Nothing in memory is changed. The adapter is used by nobody until it is promoted.
-    Interrupted in any way, the same command with the same --out goes on where it was.
+    Interrupted in any way, the same command with the same --out goes on where it was. A launcher such as torchrun can
+    start it in several processes, which share each step.
 
     Parameters
     ----------
@@ -53,6 +58,8 @@ def adapt(
     json
         Print one JSON object on stdout.
     """
+    if launched() and (dry_run or export or when_idle):
+        raise InvalidSetup("adapt in several processes", got="--dry-run, --export or --when-idle", allowed="a fit")
     if when_idle and not (dry_run or export):
         from dualbrain.cli.when_idle import adapt_when_idle
 
@@ -62,22 +69,32 @@ def adapt(
     from dualbrain.runtime.vocabulary import vocabulary
 
     dials, registry = read_config(config) if config else AdaptConfig(), vocabulary(robot)
-    if out is not None and (out / DATASET / "dataset.json").is_file() and not (dry_run or export):
-        from dualbrain.adaptation.dataset import read_dataset
+    if dry_run or export is not None:
+        return _only_choose(ledger, registry, dials, export if not dry_run else None, json=json)
+    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
+    with team_here(adapt_with_torch, out) as team:
+        team.once(lambda: _choose(ledger, registry, dials, folder))
+        return _fit(dials, registry, base, folder, ledger, team, json=json)
 
-        Account().print(f"going on with the data set in {out}")
-        return _fit(read_dataset(out / DATASET), dials, registry, base, out, ledger, json=json)
-    dataset = _chosen(ledger, registry, dials, json=json and (dry_run or export is not None))
-    if dry_run:
-        return Exit.SUCCESS
+
+def _only_choose(ledger: Path | None, registry: Any, dials: Any, export: Path | None, *, json: bool) -> int:
+    """Tell what would be taught; write it to `export`, if that is named."""
     from dualbrain.adaptation.dataset import write_dataset
 
+    dataset = _chosen(ledger, registry, dials, json=json)
     if export is not None:
         write_dataset(dataset, export)
-        return Exit.SUCCESS
-    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
-    write_dataset(dataset, folder / DATASET)
-    return _fit(dataset, dials, registry, base, folder, ledger, json=json)
+    return Exit.SUCCESS
+
+
+def _choose(ledger: Path | None, registry: Any, dials: Any, folder: Path) -> None:
+    """Write the data set into `folder`, unless it is there already."""
+    from dualbrain.adaptation.dataset import write_dataset
+
+    if (folder / DATASET / "dataset.json").is_file():
+        Account().print(f"going on with the data set in {folder}")
+    else:
+        write_dataset(_chosen(ledger, registry, dials, json=False), folder / DATASET)
 
 
 def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> Any:
@@ -96,28 +113,36 @@ def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> An
 
 
 def _fit(
-    dataset: Any, dials: Any, registry: Any, base: str, folder: Path, ledger: Path | None, *, json: bool
+    dials: Any, registry: Any, base: str, folder: Path, ledger: Path | None, team: Team, *, json: bool
 ) -> int:  # fmt: skip
-    """Fit an adapter, with its progress on stderr."""
+    """Fit an adapter on the data set in `folder`, with its progress on stderr."""
     from dualbrain.adaptation.bases import find_base
     from dualbrain.adaptation.compliance import gate_judge
-    from dualbrain.cli.adapters import registry_of_adapters
+    from dualbrain.adaptation.dataset import read_dataset
 
+    dataset = read_dataset(folder / DATASET)
     if dataset.card.registry != registry.hash:
         got, fix = dataset.card.registry, "The vocabulary has changed since: choose anew, with another --out."
         raise InvalidSetup("registry of the data set", got=got, allowed=registry.hash, fix=fix)
     night = adapt_with_torch()
-    account = Account()
+    account = account_of(team)
     card = night.adapt(
         dataset, dials, find_base(base, cache()), gate_judge(registry), folder, cache=cache(),
-        clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
+        clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
     )  # fmt: skip
+    team.once(lambda: _announce(card, dataset, folder, ledger, json=json))
+    return Exit.SUCCESS
+
+
+def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> None:
+    """Register the adapter in `folder`, and say so."""
+    from dualbrain.cli.adapters import registry_of_adapters
+
     registry_of_adapters().add(folder / "adapter", now=time.time())
     _note(card, dataset, ledger)
-    account.print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
+    Account().print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
     if json:
         tell(card)
-    return Exit.SUCCESS
 
 
 def _note(card: Any, dataset: Any, ledger: Path | None) -> None:

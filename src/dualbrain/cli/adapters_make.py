@@ -1,21 +1,26 @@
-"""dualbrain adapters make: the adapters that dualbrain ships, made again from nothing but the base model."""
+"""dualbrain adapters make: shipped adapters, made again from what the package holds."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
+from dualbrain.cli.launcher import account_of, team_here
 from dualbrain.cli.memory_open import tell
 from dualbrain.errors import UnknownName
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.fitting.team import Team
+    from dualbrain.contracts.registry import Registry
 
 DATASET = "dataset"
 Flag = Annotated[bool, Parameter(negative="")]
@@ -40,44 +45,59 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
     """
     if name not in _MAKERS:
         raise UnknownName("shipped adapter", name, tuple(_MAKERS))
-    card = _MAKERS[name](out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}")
-    if json:
-        tell(card)
+    from dualbrain.cli.adapt import adapt_with_torch
+
+    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
+    with team_here(adapt_with_torch, out) as team:
+        card = _MAKERS[name](folder, team)
+        if json and team.rank == 0:
+            tell(card)
     return Exit.SUCCESS
 
 
-def _base_135m(folder: Path) -> Any:
-    from dualbrain.adaptation.bases import find_base
-    from dualbrain.adaptation.dataset import read_dataset, write_dataset
-    from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course, language_judge
-    from dualbrain.cli.adapt import adapt_with_torch, step_words
-    from dualbrain.runtime.classroom import ROBOTS, lessons
+# --- base-135m --------------------------------------------------------------------------------------------------------
+
+
+def _base_135m(folder: Path, team: Team) -> Any:
+    from dualbrain.adaptation.lessons.course import DIALS
+    from dualbrain.runtime.classroom import ROBOTS
     from dualbrain.runtime.vocabulary import vocabulary
 
-    night, account = adapt_with_torch(), Account()
     registries = {robot: vocabulary(robot) for robot in ROBOTS}
+    team.once(lambda: _draw(folder, registries))
+    return _fit("smollm2-135m-instruct", DIALS, registries, folder, team)
+
+
+def _draw(folder: Path, registries: Mapping[str, Registry]) -> None:
+    """Write the lessons into `folder`, unless they are there already."""
+    from dualbrain.adaptation.dataset import write_dataset
+    from dualbrain.adaptation.lessons.course import CHECKS, LESSONS, course
+    from dualbrain.runtime.classroom import lessons
+
     if (folder / DATASET / "dataset.json").is_file():
-        account.print(f"going on with the lessons in {folder}")
+        Account().print(f"going on with the lessons in {folder}")
     else:
         write_dataset(course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries), folder / DATASET)
-    card = night.adapt(
-        read_dataset(folder / DATASET), DIALS, find_base("smollm2-135m-instruct", cache()), language_judge(registries),
-        folder, cache=cache(), clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
-    )  # fmt: skip
-    account.print(f"adapter {card.id} in {folder / 'adapter'}")
-    return card
 
 
-def _starter_135m(folder: Path) -> Any:
-    from dualbrain.adaptation.bases import find_base
-    from dualbrain.adaptation.dataset import read_dataset, write_dataset
-    from dualbrain.adaptation.lessons.course import language_judge
-    from dualbrain.cli.adapt import adapt_with_torch, step_words
+# --- starter-135m -----------------------------------------------------------------------------------------------------
+
+
+def _starter_135m(folder: Path, team: Team) -> Any:
     from dualbrain.runtime import starter
     from dualbrain.runtime.proposals import ROBOT
     from dualbrain.runtime.vocabulary import vocabulary
 
-    night, account, registry = adapt_with_torch(), Account(), vocabulary(ROBOT)
+    team.once(lambda: _live(folder))
+    return _fit(starter.BASE, starter.DIALS, {ROBOT: vocabulary(ROBOT)}, folder, team)
+
+
+def _live(folder: Path) -> None:
+    """Carry out what is proposed, and write what went well into `folder`, unless that is there already."""
+    from dualbrain.adaptation.dataset import read_dataset, write_dataset
+    from dualbrain.runtime import starter
+
+    account = Account()
     if (folder / DATASET / "dataset.json").is_file():
         account.print(f"going on with the data set in {folder}")
     else:
@@ -87,12 +107,6 @@ def _starter_135m(folder: Path) -> Any:
     data = read_dataset(folder / DATASET)
     reasons = "".join(f"; {number} {reason}" for reason, number in data.card.left_out.items())
     account.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
-    card = night.adapt(
-        data, starter.DIALS, find_base(starter.BASE, cache()), language_judge({ROBOT: registry}), folder,
-        cache=cache(), clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)),
-    )  # fmt: skip
-    account.print(f"adapter {card.id} in {folder / 'adapter'}")
-    return card
 
 
 def _flights_told(account: Account, number: int) -> Callable[[int, Any], None]:
@@ -107,4 +121,23 @@ def _flights_told(account: Account, number: int) -> Callable[[int, Any], None]:
     return told
 
 
-_MAKERS: dict[str, Callable[[Path], Any]] = {"base-135m": _base_135m, "starter-135m": _starter_135m}
+# --- both -------------------------------------------------------------------------------------------------------------
+
+
+def _fit(base: str, dials: Any, registries: Mapping[str, Registry], folder: Path, team: Team) -> Any:
+    """The card of an adapter of `base`, fitted on the data set in `folder`."""
+    from dualbrain.adaptation.bases import find_base
+    from dualbrain.adaptation.dataset import read_dataset
+    from dualbrain.adaptation.lessons.course import language_judge
+    from dualbrain.cli.adapt import adapt_with_torch, step_words
+
+    account = account_of(team)
+    card = adapt_with_torch().adapt(
+        read_dataset(folder / DATASET), dials, find_base(base, cache()), language_judge(registries), folder,
+        cache=cache(), clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
+    )  # fmt: skip
+    account.print(f"adapter {card.id} in {folder / 'adapter'}")
+    return card
+
+
+_MAKERS: dict[str, Callable[[Path, Team], Any]] = {"base-135m": _base_135m, "starter-135m": _starter_135m}

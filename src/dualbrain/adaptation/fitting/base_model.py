@@ -19,17 +19,13 @@ from dualbrain.adaptation.serving.peft_lora import Pair, read_lora
 from dualbrain.errors import InvalidSetup, MissingPart
 
 
-def open_base(base: Base, cache: Path, dtype: Any) -> tuple[Any, Any]:
+def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu") -> tuple[Any, Any]:
     """Model and tokenizer of `base`, with what it wears merged into its weights; no network, no code from files.
 
-    The first time it is dequantised into `cache`, 4 bytes a parameter: block scales times quanta, in float32, as
-    llama.cpp does; so in float32 the weights are exactly those that serve. `dtype` bf16 rounds each by at most 2^-9 of
+    In float32 the weights are exactly those that serve (see `dequantised`). `dtype` bf16 rounds each by at most 2^-9 of
     itself. llama.cpp also rounds activations to 8 bits, which torch does not: gate and canary run where it serves.
     """
-    logging.disable_progress_bar()  # our own progress is told line by line
-    folder = cache / "torch" / base.gguf_sha256[:32]
-    if not folder.is_dir():
-        _dequantise(base.gguf, folder)
+    folder = dequantised(base, cache)
     tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
     model = AutoModelForCausalLM.from_pretrained(
         folder, dtype=torch.float32, attn_implementation="sdpa", local_files_only=True, use_safetensors=True
@@ -42,7 +38,19 @@ def open_base(base: Base, cache: Path, dtype: Any) -> tuple[Any, Any]:
         merge(model, read_lora(worn))
     for parameter in model.parameters():  # not the buffers: rotary frequencies stay float32
         parameter.data = parameter.data.to(dtype)
-    return model.eval().requires_grad_(False), tokenizer
+    return model.to(device).eval().requires_grad_(False), tokenizer
+
+
+def dequantised(base: Base, cache: Path) -> Path:
+    """The folder in `cache` that holds `base` without what it wears, in float32; made the first time, 4 bytes a number.
+
+    Block scales times quanta, as llama.cpp does it.
+    """
+    logging.disable_progress_bar()  # our own progress is told line by line
+    folder = cache / "torch" / base.gguf_sha256[:32]
+    if not folder.is_dir():
+        _dequantise(base.gguf, folder)
+    return folder
 
 
 @torch.no_grad()
@@ -67,9 +75,18 @@ def _dequantise(gguf: Path, folder: Path) -> None:
         plain.tie_weights()
         plain.save_pretrained(beside, safe_serialization=True)
         AutoTokenizer.from_pretrained(gguf.parent, gguf_file=gguf.name).save_pretrained(beside)
-        beside.rename(folder)
+        _settle(beside, folder)
         sync_folder(folder.parent)
     except OSError as error:
         raise DiskFull(folder, error.strerror or str(error)) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def _settle(beside: Path, folder: Path) -> None:
+    """Give `beside` its name, unless another process was quicker: it made the same."""
+    try:
+        beside.rename(folder)
+    except OSError:
+        if not folder.is_dir():
+            raise

@@ -24,9 +24,10 @@ from dualbrain.adaptation.fitting.learner import Learner
 from dualbrain.adaptation.fitting.masters import Masters
 from dualbrain.adaptation.fitting.objective import Loss, log_probabilities, objective
 from dualbrain.adaptation.fitting.taught import Taught
+from dualbrain.adaptation.fitting.team import ALONE, Team
 from dualbrain.adaptation.patience import HeldOut, Patience
 from dualbrain.adaptation.schedule import batches, rate
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import DualbrainError, InvalidSetup
 
 CHECKPOINT, BEST = "checkpoint.safetensors", "best.safetensors"
 ROOM = 1.5
@@ -60,18 +61,27 @@ class Progress:
 class Fit:
     """One fit in one folder. Run again after any interruption, it ends as if it had never been interrupted.
 
-    Promise: the result is a function of data, dials and base alone, on one machine with one number of threads; it does
-    not depend on when or how often the process was killed. No step is kept whose loss was not a number.
+    Promise: the result is a function of data, dials and base alone, on one machine with one number of threads and of
+    processes; it does not depend on when or how often they were killed. No step is kept whose loss was not a number.
+
+    In a team each process computes a share of every step's samples; loss and gradients are summed, so all take the same
+    step, and as many processes as there may be, it is that of one up to rounding. The first one alone asks what is held
+    out, and writes.
     """
 
     def __init__(
         self, learner: Learner, taught: Taught, dataset: Dataset, config: AdaptConfig, judge: Judge, folder: Path, *,
-        base: str, clock: Callable[[], float],
+        base: str, clock: Callable[[], float], team: Team = ALONE,
     ) -> None:  # fmt: skip
-        """Begin, or go on where the checkpoint in `folder` stands; `clock` [s] only tells the time left."""
+        """Begin, or go on where the checkpoint in `folder` stands; `clock` [s] only tells the time left.
+
+        Raises `InvalidSetup` if a process of the team would have nothing to do.
+        """
+        if config.fit.batch < team.size:
+            raise InvalidSetup("fit batch", got=config.fit.batch, allowed=f"a sample for each of {team.size} processes")
         self._learner, self._taught, self._asked = learner, taught, dataset.held_out
         self._config, self._judge, self._folder, self._clock = config, judge, folder, clock
-        self._masters = Masters(learner.parameters)
+        self._team, self._masters = team, Masters(learner.parameters, team)
         self._plan = batches(taught.shown, config.fit)
         self._run = run_key(dataset, config, base, str(learner.head.dtype))
         self.step, self.patience = 0, Patience()
@@ -97,9 +107,7 @@ class Fit:
             found = None
             if self.step % dials.save_every == 0 or self.step == dials.steps:
                 found = self._examine()
-                save_checkpoint(
-                    self._folder / CHECKPOINT, Mark(self._run, self.step, self.patience), self._masters.state()
-                )
+                self._team.once(self._save)
             pace = (self._clock() - began) / (self.step - first)
             left = pace * (dials.steps - self.step)
             tell(Progress(self.step, dials.steps, cross_entropy, divergence, left, found))
@@ -110,14 +118,16 @@ class Fit:
         """One optimiser step; its mean cross-entropy and divergence [nats/token]."""
         dials, rows = self._config.fit, self._by_length(self._plan[step - 1])
         tokens = sum(len(self._taught.train[row].contract) for row in rows)
-        cross_entropy = divergence = 0.0
-        for start in range(0, len(rows), dials.at_once):
-            loss = self._part(rows[start : start + dials.at_once], tokens)
-            if not math.isfinite(value := float(loss.total.detach())):
-                raise Diverged(step, f"loss ({value})")
+        mine = rows[self._team.rank :: self._team.size]
+        told = torch.zeros(3, dtype=torch.float64, device=self._learner.head.device)
+        for start in range(0, len(mine), dials.at_once):
+            loss = self._part(mine[start : start + dials.at_once], tokens)
             loss.total.backward()
-            cross_entropy += float(loss.cross_entropy)
-            divergence += float(loss.divergence)
+            told += torch.stack([value.detach() for value in loss])
+        self._team.sum([told])
+        total, cross_entropy, divergence = told.tolist()
+        if not math.isfinite(total):
+            raise Diverged(step, f"loss ({total})")
         norm = self._masters.step(rate(step, dials), dials.clip)
         if not math.isfinite(norm):
             raise Diverged(step, f"gradient ({norm})")
@@ -146,13 +156,18 @@ class Fit:
         """Ask what is held out; keep the adapter if it is the best so far, or if there is nothing to ask."""
         found = None
         if self._taught.held_out:
-            found = HeldOut(self.step, self._compliance(), self._held_out_loss())
+            found = self._team.once(lambda: HeldOut(self.step, self._compliance(), self._held_out_loss()))
             if not math.isfinite(found.loss):
                 raise Diverged(self.step, f"held-out loss ({found.loss})")
             self.patience = self.patience.after(found)
         if found is None or self.patience.best == found:
-            write_durably(self._folder / BEST, save(self._learner.adapter()))
+            self._team.once(lambda: write_durably(self._folder / BEST, save(self._learner.adapter())))
         return found
+
+    def _save(self) -> None:
+        """Write the checkpoint."""
+        mark = Mark(self._run, self.step, self.patience)
+        save_checkpoint(self._folder / CHECKPOINT, mark, self._masters.state())
 
     def _compliance(self) -> float | None:
         """The share of sound free answers to some held-out questions, evenly chosen; None if none is to be asked."""

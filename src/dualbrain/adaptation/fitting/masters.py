@@ -9,6 +9,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from dualbrain.adaptation.fitting.team import ALONE, Team
+
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -17,11 +19,14 @@ class Masters:
 
     A bf16 number has 8 bits: a step of 1e-3 of its size would be lost in it. Adapters in bf16 save the copies between
     formats that adapters in float32 need at every layer.
+
+    In a team each process has its own, alike to the bit: gradients are summed over the processes, in float32, and all
+    take the same step.
     """
 
-    def __init__(self, parameters: Mapping[str, torch.nn.Parameter]) -> None:
+    def __init__(self, parameters: Mapping[str, torch.nn.Parameter], team: Team = ALONE) -> None:
         """Copy `parameters`, by name."""
-        self._parameters = dict(parameters)
+        self._parameters, self._team = dict(parameters), team
         self._masters = {name: p.detach().float().clone() for name, p in parameters.items()}
         self._adam = torch.optim.AdamW(list(self._masters.values()), weight_decay=0.0)
 
@@ -33,6 +38,7 @@ class Masters:
         for name, parameter in self._parameters.items():
             self._masters[name].grad = None if parameter.grad is None else parameter.grad.float()
             parameter.grad = None
+        self._team.sum([master.grad for master in self._masters.values()])
         norm = torch.nn.utils.clip_grad_norm_(list(self._masters.values()), clip)
         if not torch.isfinite(norm):
             return float(norm)
@@ -53,7 +59,8 @@ class Masters:
         """Go on exactly where `state` was taken."""
         for name, master in self._masters.items():
             master.copy_(stored[f"master/{name}"])
-            self._adam.state[master] = {what: stored[f"{what}/{name}"].clone() for what in MOMENTS}
+            moments = {what: stored[f"{what}/{name}"].to(master.device, copy=True) for what in MOMENTS}
+            self._adam.state[master] = moments | {"step": moments["step"].cpu()}  # torch counts on the processor
         self._round()
 
     @torch.no_grad()

@@ -16,6 +16,7 @@ from dualbrain.adaptation.dataset import Dataset
 from dualbrain.adaptation.fitting.base_states import BaseStates, compute, find, keep, key_of
 from dualbrain.adaptation.fitting.batch import Encoded, encode
 from dualbrain.adaptation.fitting.learner import Learner
+from dualbrain.adaptation.fitting.team import ALONE, Team
 from dualbrain.adaptation.omega import normalised, omega
 from dualbrain.errors import InvalidSetup
 
@@ -34,10 +35,13 @@ class Taught:
     states: BaseStates | None
 
 
-def prepare(learner: Learner, dataset: Dataset, dials: ObjectiveDials, base: str, kept: Path) -> Taught:
+def prepare(
+    learner: Learner, dataset: Dataset, dials: ObjectiveDials, base: str, kept: Path, team: Team = ALONE
+) -> Taught:
     """`dataset` for `learner`, whose base has the hash `base`; the base's states are read from `kept` or written there.
 
-    Raises `InvalidSetup` if there is nothing to train on, a sample is too long, or the base cannot be cached exactly.
+    In a team the first process writes them and all read them. Raises `InvalidSetup` if there is nothing to train on, a
+    sample is too long, or the base cannot be cached exactly.
     """
     if not dataset.train:
         raise InvalidSetup("training samples", got="none", allowed="at least one", fix="Lower curation held_out.")
@@ -46,7 +50,7 @@ def prepare(learner: Learner, dataset: Dataset, dials: ObjectiveDials, base: str
         for rows in (dataset.train, dataset.held_out)
     )
     learner.check(train[0])
-    states = _states(learner, train, base, kept) if _needed(dials) else None
+    states = _states(learner, train, base, kept, team) if _needed(dials) else None
     entropies: Any = states.entropies(train) if states else np.zeros(len(train))
     shown = tuple(row.repeats for row in dataset.train)
     weights = omega([row.weight for row in dataset.train], entropies, dials)
@@ -58,11 +62,18 @@ def _needed(dials: ObjectiveDials) -> bool:
     return dials.beta > 0.0 or (dials.lambda_h > 0.0 and dials.entropy_gate == "sample")
 
 
-def _states(learner: Learner, train: tuple[Encoded, ...], base: str, kept: Path) -> BaseStates:
+def _states(learner: Learner, train: tuple[Encoded, ...], base: str, kept: Path, team: Team) -> BaseStates:
     key = key_of(base, train, str(learner.head.dtype))
+    team.once(lambda: _keep_states(learner, train, kept, key))
     found = find(kept, key, device=str(learner.head.device))
     if found is None:
-        with learner.as_base():
-            found = compute(learner.decoder, learner.head, train, learner.padding)
-        keep(found, kept, key)
+        fix = f"Name a folder that every host of the fit sees. {kept}"
+        raise InvalidSetup("states of the base", got="none", allowed="those that the first process wrote", fix=fix)
     return found
+
+
+def _keep_states(learner: Learner, train: tuple[Encoded, ...], kept: Path, key: str) -> None:
+    """Compute the base's states, unless they are kept already."""
+    if find(kept, key) is None:
+        with learner.as_base():
+            keep(compute(learner.decoder, learner.head, train, learner.padding), kept, key)
