@@ -46,5 +46,5 @@ if [ "${WITH_CUDA:-}" = "" ]; then
     torch=(--extra-index-url "$index")
 fi
 say "compiling the safety kernel"
-"$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt]' 2> >(grep -v 'is ignored: it is neither' >&2)
+"$VENV/bin/pip" install -q --no-build-isolation "${torch[@]}" -e '.[all,dev,adapt,qlora]' 2> >(grep -v 'is ignored: it is neither' >&2)
 say "ready: try $VENV/bin/dualbrain --help"

@@ -41,7 +41,7 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `warm_up` steps and falls along a cosine to a tenth of it. `clip` bounds the norm of the gradient. `rank` and
     `alpha` are LoRA's r and α. Every `save_every` steps a checkpoint is written, and the held-out part is asked (at
     most `ask_at_most` questions); after `patience` rounds without progress it stops. `precision` "auto" is bf16 where
-    the processor multiplies in it, else float32.
+    the device multiplies in it, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
     """
 
     steps: int = 120
@@ -58,6 +58,7 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seed: int = 0
     threads: int = 0
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    quantise: Literal["none", "nf4"] = "none"
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for what cannot be."""

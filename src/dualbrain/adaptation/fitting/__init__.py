@@ -1,1 +1,5 @@
-"""Fitting an adapter; everything in here needs torch (`pip install dualbrain[adapt]`), nothing else does."""
+"""Fitting an adapter; all in here but `team` needs torch (`pip install dualbrain[adapt]`), nothing else does."""
+
+import logging
+
+logging.getLogger("bitsandbytes").setLevel(logging.ERROR)  # peft imports it; it warns of a kernel that we do not use

@@ -15,15 +15,17 @@ from transformers.utils import logging
 
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.adaptation.fitting.quantised import quantise
 from dualbrain.adaptation.serving.peft_lora import Pair, read_lora
 from dualbrain.errors import InvalidSetup, MissingPart
 
 
-def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu") -> tuple[Any, Any]:
+def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu", *, nf4: bool = False) -> tuple[Any, Any]:
     """Model and tokenizer of `base`, with what it wears merged into its weights; no network, no code from files.
 
     In float32 the weights are exactly those that serve (see `dequantised`). `dtype` bf16 rounds each by at most 2^-9 of
-    itself. llama.cpp also rounds activations to 8 bits, which torch does not: gate and canary run where it serves.
+    itself, and `nf4` quantises its linear layers once more (see `quantise`). llama.cpp also rounds activations to 8
+    bits, which torch does not: gate and canary run where it serves.
     """
     folder = dequantised(base, cache)
     tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
@@ -38,6 +40,8 @@ def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu") -> tuple
         merge(model, read_lora(worn))
     for parameter in model.parameters():  # not the buffers: rotary frequencies stay float32
         parameter.data = parameter.data.to(dtype)
+    if nf4:
+        quantise(model, device)
     return model.to(device).eval().requires_grad_(False), tokenizer
 
 

@@ -42,9 +42,9 @@ class BaseStates:
         return [float(self._rows[one.id][1].mean()) for one in samples]
 
 
-def key_of(base: str, samples: Sequence[Encoded], dtype: str) -> str:
+def key_of(base: str, samples: Sequence[Encoded], numbers: str) -> str:
     """SHA-256 of all that the states depend on: the base's weights (by hash), every token, the number format."""
-    told = [base, dtype, [[one.id, one.prompt, one.contract] for one in samples]]
+    told = [base, numbers, [[one.id, one.prompt, one.contract] for one in samples]]
     return hashlib.sha256(repr(told).encode()).hexdigest()
 
 

@@ -37,6 +37,7 @@ class Learner:
         self.model.eval()  # there is no dropout; what evaluation and training compute must be the same
         self.decoder, self.head = model.get_decoder(), model.get_output_embeddings().weight.detach()
         self.parameters = {name: p for name, p in self.model.named_parameters() if p.requires_grad}
+        self.numbers = str(self.head.dtype) + ("" if dials.quantise == "none" else f", layers in {dials.quantise}")
         padding = tokenizer.pad_token_id
         self.padding = tokenizer.eos_token_id if padding is None else padding
         self.longest = int(model.config.max_position_embeddings)

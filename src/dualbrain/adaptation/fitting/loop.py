@@ -83,7 +83,7 @@ class Fit:
         self._config, self._judge, self._folder, self._clock = config, judge, folder, clock
         self._team, self._masters = team, Masters(learner.parameters, team)
         self._plan = batches(taught.shown, config.fit)
-        self._run = run_key(dataset, config, base, str(learner.head.dtype))
+        self._run = run_key(dataset, config, base, learner.numbers)
         self.step, self.patience = 0, Patience()
         if found := load_checkpoint(folder / CHECKPOINT, self._run):
             mark, tensors = found
@@ -197,7 +197,7 @@ class Fit:
         return total / tokens
 
 
-def run_key(dataset: Dataset, config: AdaptConfig, base: str, dtype: str) -> str:
+def run_key(dataset: Dataset, config: AdaptConfig, base: str, numbers: str) -> str:
     """A name for everything that decides the result of a fit: data, objective, dials, base and number format."""
-    told = [dataset.card.hash, base, dtype, msgspec.to_builtins(config.objective), msgspec.to_builtins(config.fit)]
+    told = [dataset.card.hash, base, numbers, msgspec.to_builtins(config.objective), msgspec.to_builtins(config.fit)]
     return hashlib.sha256(msgspec.json.encode(told)).hexdigest()[:32]

@@ -40,7 +40,8 @@ def adapt(
     """
     device = settle(config.fit.threads or 1)
     team.once(lambda: _begin(config, base, folder, cache))
-    model, tokenizer = open_base(base, cache, choose(config.fit.precision), device)
+    nf4 = config.fit.quantise == "nf4"
+    model, tokenizer = open_base(base, cache, choose(config.fit.precision), device, nf4=nf4)
     learner = Learner(model, tokenizer, config.fit)
     taught = prepare(learner, dataset, config.objective, base.sha256, folder / STATES, team)
     fit = Fit(learner, taught, dataset, config, judge, folder, base=base.sha256, clock=clock, team=team)
@@ -60,11 +61,12 @@ def _write(
     found: HeldOut | None,
 ) -> AdapterCard:  # fmt: skip
     """The adapter that `learner` wears, with its card."""
+    packages = ("torch", "transformers", "peft", *(("bitsandbytes",) if config.fit.quantise == "nf4" else ()))
     write_adapter(learner, folder / ADAPTER, base=base.sha256)
     card = AdapterCard(
         weights_id(folder / ADAPTER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
         told.sources, proposed_by_others(told.sources, base.name), str(learner.head.dtype).removeprefix("torch."),
-        steps, found, config, {name: metadata.version(name) for name in ("torch", "transformers", "peft")}, told.also,
+        steps, found, config, {name: metadata.version(name) for name in packages}, told.also,
     )  # fmt: skip
     write_card(card, folder / ADAPTER)
     return card

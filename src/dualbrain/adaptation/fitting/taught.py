@@ -63,7 +63,7 @@ def _needed(dials: ObjectiveDials) -> bool:
 
 
 def _states(learner: Learner, train: tuple[Encoded, ...], base: str, kept: Path, team: Team) -> BaseStates:
-    key = key_of(base, train, str(learner.head.dtype))
+    key = key_of(base, train, learner.numbers)
     team.once(lambda: _keep_states(learner, train, kept, key))
     found = find(kept, key, device=str(learner.head.device))
     if found is None:
