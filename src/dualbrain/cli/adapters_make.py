@@ -1,4 +1,4 @@
-"""dualbrain adapters make: shipped adapters, made again from what the package holds."""
+"""dualbrain adapters make: the adapters that dualbrain ships, made again from nothing but the base model."""
 
 from __future__ import annotations
 
