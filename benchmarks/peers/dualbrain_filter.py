@@ -36,12 +36,12 @@ class Filter:
         self.filter = SafetyFilter(body, config, weight=None if problem.whole_body else np.eye(body.n))
         self.filter.observe([_obstacle(problem, i) for i in range(len(problem.kind))])
         self.still, self.opening, self.answer = np.zeros(problem.n), 0.0, None
-        self.step = {"call": self._call, "state": self._call, "c": self._call}[how]
         self.how = how
 
-    def _call(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        self.answer = self.filter(q, self.still if v is None else v, u_nom)
-        return self.answer.u
+    def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
+        """The control at q [rad] and v [rad/s], else at rest, for the nominal one [rad/s]: (n,) each."""
+        self.answer = answer = self.filter(q, self.still if v is None else v, u_nom)
+        return answer.u
 
     def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int] | None:
         """Times [ns] of a block, where the usual loop over `step` is not what is wanted."""
