@@ -6,7 +6,7 @@
 typedef struct {
   dbk_real x[DBK_LANES], y[DBK_LANES], z[DBK_LANES], ax[DBK_LANES], ay[DBK_LANES], az[DBK_LANES], half[DBK_LANES];
   dbk_real radius[DBK_LANES], margin[DBK_LANES], alpha[DBK_LANES], error[DBK_LANES];
-  dbk_real vx[DBK_LANES], vy[DBK_LANES], vz[DBK_LANES], least[DBK_LANES];
+  dbk_real vx[DBK_LANES], vy[DBK_LANES], vz[DBK_LANES], speed[DBK_LANES], least[DBK_LANES];
 } block;
 
 typedef struct {
@@ -23,6 +23,7 @@ static inline void gather_one(const dbk_covers *c, const dbk_surround *around, d
   to->radius[lane] = c->radius[o];
   to->margin[lane] = around->margin[o] + held_error;
   to->alpha[lane] = around->alpha[o];
+  to->speed[lane] = c->speed[o];
   to->least[lane] = DBK_BEYOND;
   if (balls) { return; }
   to->ax[lane] = c->ax[o];
@@ -37,9 +38,12 @@ static inline void gather_one(const dbk_covers *c, const dbk_surround *around, d
 
 static inline void gather_all(const dbk_covers *c, const dbk_surround *around, dbk_real held_error, int32_t balls,
                               const dbk_batch *w, company *restrict to) {
-  for (int32_t at = 0; at < DBK_PADDED(w->count); ++at) {
-    const int32_t o = w->index[at < w->count ? at : w->count - 1];
-    gather_one(c, around, held_error, balls, o, &to->block[at / DBK_LANES], at % DBK_LANES);
+  const int32_t last = w->count - 1;
+  for (int32_t base = 0; base <= last; base += DBK_LANES) {
+    block *b = &to->block[base / DBK_LANES];
+    for (int32_t l = 0; l < DBK_LANES; ++l) {
+      gather_one(c, around, held_error, balls, w->index[base + l < last ? base + l : last], b, l);
+    }
   }
 }
 
@@ -106,6 +110,28 @@ DBK_WIDE static int32_t meets_balls(const dbk_model *model, const dbk_ctx *ctx, 
   return sphere_meets(model, ctx, sphere, 1, c, w);
 }
 
+/* the smallest h goes into h_min; whatever one period could bring to h = 0 is looked at again (as dbk_judge does) */
+static void judge_all(const dbk_model *model, dbk_ctx *ctx, const dbk_link_scene *near, const company *c,
+                      const dbk_batch *w) {
+  const dbk_real haste = ctx->motion.haste[near->link], period = model->period;
+  dbk_real least[DBK_LANES];
+  int32_t soon[DBK_LANES];
+  for (int32_t l = 0; l < DBK_LANES; ++l) { least[l] = DBK_BEYOND; }
+  for (int32_t base = 0; base < c->count; base += DBK_LANES) {
+    const block *b = &c->block[base / DBK_LANES];
+    int32_t any = 0;
+    for (int32_t l = 0; l < DBK_LANES; ++l) {
+      least[l] = b->least[l] < least[l] ? b->least[l] : least[l];
+      soon[l] = !(b->least[l] >= period * (b->speed[l] + haste) + DBK_CULL_FLOOR);
+      any |= soon[l];
+    }
+    for (int32_t l = 0; any && l < DBK_LANES && base + l < c->count; ++l) {
+      if (soon[l]) { dbk_remember(ctx, near->first, near->count, w->index[base + l]); }
+    }
+  }
+  ctx->h_min = dbk_min(ctx->h_min, dbk_least(least, DBK_BEYOND) + model->sampling);
+}
+
 void dbk_meet_together(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_surround *around,
                        const dbk_link_scene *near) {
   company c;
@@ -119,7 +145,5 @@ void dbk_meet_together(const dbk_model *model, const dbk_scene *scene, dbk_ctx *
     const int32_t kept = c.balls ? meets_balls(model, ctx, s, &c, &w) : meets_capsules(model, ctx, s, &c, &w);
     if (kept) { dbk_keep_rows(scene, ctx, &w); }
   }
-  for (int32_t at = 0; at < c.count; ++at) {
-    dbk_judge(model, scene, ctx, near, w.index[at], c.block[at / DBK_LANES].least[at % DBK_LANES]);
-  }
+  judge_all(model, ctx, near, &c, &w);
 }
