@@ -36,29 +36,35 @@ class Filter:
         self.filter = SafetyFilter(body, config, weight=None if problem.whole_body else np.eye(body.n))
         self.filter.observe([_obstacle(problem, i) for i in range(len(problem.kind))])
         self.still, self.opening, self.answer = np.zeros(problem.n), 0.0, None
-        self.step = {"call": self._call, "state": self._call, "c": self._call}[how]
         self.how = how
 
-    def _call(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-        self.answer = self.filter(q, self.still if v is None else v, u_nom)
-        return self.answer.u
+    def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
+        """The control at q [rad] and v [rad/s], else at rest, for the nominal one [rad/s]: (n,) each."""
+        self.answer = answer = self.filter(q, self.still if v is None else v, u_nom)
+        return answer.u
 
-    def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int] | None:
-        """Times [ns] of a block, where the usual loop over `step` is not what is wanted."""
+    def block(self, states: np.ndarray, nominals: np.ndarray, clock) -> list[int]:
+        """Times [ns] of the calls of a block as a controller makes them, or their mean in C."""
         if self.how == "c":
             mean = self.filter._kernel.time_steps(
                 np.ascontiguousarray(states), np.ascontiguousarray(nominals), False
             )  # fmt: skip
             return [round(1e9 * mean)]
+        times: list[int] = []
         if self.how == "state":
             prepared = [RobotState(0.0, k, q, self.still, 0.0, (0.0, 0.0)) for k, q in enumerate(states)]
-            filtered, times = self.filter.filter, []
+            filtered = self.filter.filter
             for state, u_nom in zip(prepared, nominals, strict=True):
                 begin = clock()
                 filtered(state, u_nom, 0.0)
                 times.append(clock() - begin)
             return times
-        return None
+        safety, still = self.filter, self.still
+        for q, u_nom in zip(states, nominals, strict=True):
+            begin = clock()
+            safety(q, still, u_nom)
+            times.append(clock() - begin)
+        return times
 
     def evaluated(self) -> dict[str, object]:
         """What the last step looked at."""

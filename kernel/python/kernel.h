@@ -38,7 +38,7 @@ struct Kernel {
 
   // step.cpp: control
   // what a step answers with: called with u, u_nom, names, status, flags, delta, delta_rows, delta_box, h_min, certified,
-  // iterations, n_rows, rows, relaxed
+  // iterations, n_rows, binding (rows of three int32 and two doubles, without gaps), relaxed
   void answer_with(nb::object type, nb::object names_of_status);
   void reset(const Array &u_prev);
   nb::object step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age, double scene_age,

@@ -6,6 +6,9 @@
 #include "arrays.h"
 #include "kernel.h"
 
+// a binding row as it is packed: kind, i, j, then h and multiplier, nothing between them
+constexpr size_t kActiveSize = 3 * sizeof(int32_t) + 2 * sizeof(double);
+
 void ready_numpy() {
   if (PyArray_ImportNumPyAPI() < 0) { throw nb::python_error(); }
 }
@@ -31,21 +34,17 @@ nb::object Kernel::load(nb::handle q, nb::handle v, nb::handle u, double opening
 }
 
 nb::object Kernel::active() const {
-  if (out.n_active == 0) { return nb::steal(PyTuple_New(0)); }
-  nb::object all = nb::steal(PyTuple_New(out.n_active));
-  for (int a = 0; a < out.n_active; ++a) {
+  nb::object packed = nb::steal(PyBytes_FromStringAndSize(nullptr, out.n_active * Py_ssize_t(kActiveSize)));
+  if (!packed.is_valid()) { throw nb::python_error(); }
+  char *to = PyBytes_AS_STRING(packed.ptr());
+  for (int a = 0; a < out.n_active; ++a, to += kActiveSize) {
     const dbk_active &e = out.active[a];
-    PyObject *row = PyTuple_New(5);
-    if (row == nullptr) { throw nb::python_error(); }
-    PyTuple_SET_ITEM(all.ptr(), a, row);
-    PyObject *const parts[5] = {PyLong_FromLong(e.kind), PyLong_FromLong(e.i), PyLong_FromLong(e.j),
-                                PyFloat_FromDouble(double(e.h)), PyFloat_FromDouble(double(e.multiplier))};
-    for (int p = 0; p < 5; ++p) {
-      if (parts[p] == nullptr) { throw nb::python_error(); }
-      PyTuple_SET_ITEM(row, p, parts[p]);
-    }
+    const int32_t which[3] = {e.kind, e.i, e.j};
+    const double found[2] = {double(e.h), double(e.multiplier)};
+    std::memcpy(to, which, sizeof which);
+    std::memcpy(to + sizeof which, found, sizeof found);
   }
-  return all;
+  return packed;
 }
 
 nb::object Kernel::step(nb::handle q, nb::handle v, nb::handle u_nom, double opening, double state_age,

@@ -8,29 +8,32 @@ static dbk_real braking_speed(dbk_real a, dbk_real period, dbk_real d) {
 }
 
 /* greatest speed toward a limit at distance d: min(alpha d, v_b(d)); outside, the way back */
-static dbk_real approach(const dbk_model *model, int32_t k, dbk_real d) {
-  const dbk_real linear = model->alpha_joint * d;
-  if (!(d > (dbk_real)0)) { return dbk_max(linear, -(dbk_real)4 * model->recovery) - model->tracking; }
-  return dbk_min(linear, braking_speed(model->a_max[k], model->period, d)) - model->tracking;
+static inline dbk_real approach(const dbk_model *model, dbk_real a_max, dbk_real d) {
+  const dbk_real linear = model->alpha_joint * d, back = dbk_max(linear, -(dbk_real)4 * model->recovery);
+  const dbk_real in_time = dbk_min(linear, braking_speed(a_max, model->period, d));
+  return (d > (dbk_real)0 ? in_time : back) - model->tracking;
 }
 
 /* velocity limit, acceleration around u_prev, joint position at y. The acceleration box is never left: where a position
- * limit asks for more than it gives, its nearest control remains, and `conflict` tells. */
-void dbk_box(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
-             dbk_real lower[DBK_MAX_DOF], dbk_real upper[DBK_MAX_DOF], int32_t *conflict) {
+ * limit asks for more than it gives, its nearest control remains, and `conflict` tells. All joints there could be are
+ * taken in one go; what comes out behind the last one is never read. */
+DBK_WIDE void dbk_box(const dbk_model *model, const dbk_real y[DBK_MAX_DOF], const dbk_real u_prev[DBK_MAX_DOF],
+                      dbk_real lower[restrict DBK_MAX_DOF], dbk_real upper[restrict DBK_MAX_DOF], int32_t *conflict) {
   const dbk_real margin = model->rounding; /* [rad] */
-  for (int32_t k = 0; k < model->n; ++k) {
+  int32_t beyond = 0;
+  for (int32_t k = 0; k < DBK_MAX_DOF; ++k) {
     const dbk_real v = model->v_max[k], step = model->a_max[k] * model->period;
     const dbk_real low = dbk_max(-v, u_prev[k] - step), high = dbk_min(v, u_prev[k] + step);
     const dbk_real above = model->q_upper[k] - margin - y[k], below = y[k] - model->q_lower[k] - margin;
-    const dbk_real to_upper = approach(model, k, above), to_lower = -approach(model, k, below);
+    const dbk_real to_upper = approach(model, model->a_max[k], above);
+    const dbk_real to_lower = -approach(model, model->a_max[k], below);
     const dbk_real slack = (dbk_real)0.02 * step;
-    if ((above > (dbk_real)0 && to_upper < low - slack) || (below > (dbk_real)0 && to_lower > high + slack)) {
-      *conflict = 1;
-    }
+    beyond |= (k < model->n) & (((above > (dbk_real)0) & (to_upper < low - slack)) |
+                                ((below > (dbk_real)0) & (to_lower > high + slack)));
     lower[k] = dbk_clamp(to_lower, low, high);
     upper[k] = dbk_clamp(to_upper, lower[k], high);
   }
+  *conflict |= beyond;
 }
 
 /* u_prev + change -+ j dt^2, and no faster toward v_max than the acceleration can still be taken back in time */

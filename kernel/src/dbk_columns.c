@@ -88,10 +88,11 @@ DBK_WIDE void dbk_fill_columns(const dbk_model *model, const dbk_ctx *ctx, dbk_r
     const int32_t count = DBK_PADDED(last - first);
     const columns at = {first, count, square + first, total + first};
     fill_moments(&ctx->cloud, several, first, last, rows);
-    for (int32_t r = 0; r < count; ++r) { at.square[r] = at.total[r] = (dbk_real)0; }
+    dbk_clear(at.square, count);
+    dbk_clear(at.total, count);
     for (int32_t k = 0; k < model->n; ++k) {
       if (k < from || k >= upto) {
-        for (int32_t r = 0; r < count; ++r) { rows->a[k][first + r] = (dbk_real)0; }
+        dbk_clear(rows->a[k] + first, count);
       } else if (several) {
         fill_for_several(&axis, k, &at, rows);
       } else {

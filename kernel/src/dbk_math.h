@@ -29,6 +29,13 @@ static inline dbk_real dbk_greatest(const dbk_real lane[DBK_LANES], dbk_real sta
   return start;
 }
 
+/* zeros, a vector at a time: as a plain loop, compilers make it a call */
+static inline void dbk_clear(dbk_real *to, int32_t count) {
+  for (int32_t base = 0; base < count; base += DBK_LANES) {
+    for (int32_t l = 0; l < DBK_LANES; ++l) { to[base + l] = (dbk_real)0; }
+  }
+}
+
 static inline dbk_real dbk_clamp(dbk_real x, dbk_real lower, dbk_real upper) {
   if (x > upper) { return upper; }
   return x >= lower ? x : lower; /* NaN becomes the lower bound */

@@ -53,7 +53,7 @@ DBK_WIDE static summary link_meets(const dbk_ctx *ctx, const dbk_link_scene *nea
     for (int32_t l = 0; l < DBK_LANES; ++l) {
       const int32_t at = base + l, real = at < near->count;
       const dbk_mover it = dbk_mover_of(ctx, first + at);
-      const dbk_weight weight = dbk_weigh(&it, &t, w->h[at], w->nx[at], w->ny[at], w->nz[at]);
+      const dbk_weight weight = dbk_weigh(&it, &t, 0, w->h[at], w->nx[at], w->ny[at], w->nz[at]);
       const dbk_real h = real ? weight.h : DBK_BEYOND;
       w->h[at] = weight.h;
       w->rhs[at] = weight.rhs;

@@ -135,7 +135,7 @@ DBK_WIDE void dbk_set_motion(const dbk_model *model, const dbk_scene *scene, dbk
   const int32_t count = DBK_PADDED(ctx->cloud.count);
   dbk_motion *out = &ctx->motion;
   chain[0] = still; /* the base */
-  for (int32_t s = 0; s < count; ++s) { out->spread[s] = (dbk_real)0; }
+  dbk_clear(out->spread, count);
   for (int32_t k = 0; k < model->n; ++k) {
     const dbk_real *r = ctx->frames.rotation[k + 1];
     const dbk_real z[3] = {r[2], r[5], r[8]};

@@ -33,9 +33,10 @@ dbk_real dbk_separation_speed(const dbk_obstacle *o, dbk_real d, dbk_real person
 }
 
 /* lower bounds of h between every sphere of a link and the capsules; and how far the nearest pair with each open capsule
- * can be at most, as the innermost sphere of the ball is that near */
+ * can be at most, as the innermost sphere of the ball is that near. Is none `any_long`, the capsules are balls. */
 static inline void capsule_gaps(const dbk_scene *scene, const dbk_surround *s, const dbk_motion *m, int32_t link,
-                                dbk_real held_error, dbk_real *restrict gap, dbk_real *restrict nearest) {
+                                int32_t any_long, dbk_real held_error, dbk_real *restrict gap,
+                                dbk_real *restrict nearest) {
   const dbk_covers *c = &scene->covers;
   const dbk_real *permit = scene->permit[link];
   const dbk_real px = m->bound_x[link], py = m->bound_y[link], pz = m->bound_z[link];
@@ -43,8 +44,9 @@ static inline void capsule_gaps(const dbk_scene *scene, const dbk_surround *s, c
   const int32_t lanes = DBK_PADDED(s->lanes);
   for (int32_t o = 0; o < lanes; ++o) {
     dbk_real nx, ny, nz;
-    const dbk_real d = dbk_off_segment(px - s->x[o], py - s->y[o], pz - s->z[o], c->ax[o], c->ay[o], c->az[o],
-                                       c->half[o], &nx, &ny, &nz);
+    const dbk_real x = px - s->x[o], y = py - s->y[o], z = pz - s->z[o];
+    const dbk_real d = any_long ? dbk_off_segment(x, y, z, c->ax[o], c->ay[o], c->az[o], c->half[o], &nx, &ny, &nz)
+                                : dbk_off_point(x, y, z, &nx, &ny, &nz);
     const dbk_real h = d - c->radius[o] - s->margin[o] - off, most = h + depth;
     const int32_t open = (int32_t)(s->parts[o] >> link & 1u) & c->plain[o] & (permit[o] < (dbk_real)0);
     gap[o] = h;
@@ -134,7 +136,11 @@ DBK_WIDE void dbk_find_near(const dbk_model *model, const dbk_scene *scene, cons
   }
   for (int32_t i = 0; i < count; ++i) {
     const dbk_real held_error = link[i] == model->n_links ? scene->held_error : (dbk_real)0;
-    capsule_gaps(scene, around, &ctx->motion, link[i], held_error, gap[link[i]], nearest);
+    if (scene->covers.any_long) {
+      capsule_gaps(scene, around, &ctx->motion, link[i], 1, held_error, gap[link[i]], nearest);
+    } else {
+      capsule_gaps(scene, around, &ctx->motion, link[i], 0, held_error, gap[link[i]], nearest);
+    }
   }
   const dbk_real h_min = least_of(nearest, lanes) + model->sampling;
   if (scene->covers.any_half_space) { half_space_gaps(model, scene, ctx, around, gap); }

@@ -40,30 +40,35 @@ typedef struct {
   dbk_real h, rhs, room;
 } dbk_weight;
 
+/* distance and outward normal of a point, at (x, y, z) from it */
+static inline dbk_real dbk_off_point(dbk_real x, dbk_real y, dbk_real z, dbk_real *nx, dbk_real *ny, dbk_real *nz) {
+  const dbk_real far = dbk_sqrt(x * x + y * y + z * z);
+  const dbk_real inverse = (dbk_real)1 / (far > DBK_TINY ? far : DBK_TINY);
+  *nx = x * inverse;
+  *ny = y * inverse;
+  *nz = far > DBK_TINY ? z * inverse : (dbk_real)1; /* on the axis: any way out will do */
+  return far;
+}
+
 /* distance and outward normal of a segment of half length `half` along (ax, ay, az), at (x, y, z) from its middle */
 static inline dbk_real dbk_off_segment(dbk_real x, dbk_real y, dbk_real z, dbk_real ax, dbk_real ay, dbk_real az,
                                        dbk_real half, dbk_real *nx, dbk_real *ny, dbk_real *nz) {
   const dbk_real along = x * ax + y * ay + z * az;
   const dbk_real low = along < half ? along : half;
   const dbk_real t = low > -half ? low : -half;
-  const dbk_real wx = x - t * ax, wy = y - t * ay, wz = z - t * az;
-  const dbk_real far = dbk_sqrt(wx * wx + wy * wy + wz * wz);
-  const dbk_real inverse = (dbk_real)1 / (far > DBK_TINY ? far : DBK_TINY);
-  *nx = wx * inverse;
-  *ny = wy * inverse;
-  *nz = far > DBK_TINY ? wz * inverse : (dbk_real)1; /* on the axis: any way out will do */
-  return far;
+  return dbk_off_point(x - t * ax, y - t * ay, z - t * az, nx, ny, nz);
 }
 
-/* h, right side, and the room that the worst control of the box leaves, of a sphere at distance d along normal n */
-static inline dbk_weight dbk_weigh(const dbk_mover *m, const dbk_terms *t, dbk_real d, dbk_real nx, dbk_real ny,
-                                   dbk_real nz) {
+/* h, right side, and the room that the worst control of the box leaves, of a sphere at distance d along normal n; is the
+ * other thing `at_rest`, its velocity and the error of that are not looked at */
+static inline dbk_weight dbk_weigh(const dbk_mover *m, const dbk_terms *t, int32_t at_rest, dbk_real d, dbk_real nx,
+                                   dbk_real ny, dbk_real nz) {
   const dbk_real h = d - m->r - t->margin;
   const dbk_real wanted = -t->alpha * h;
   const dbk_real barrier = wanted < t->cap ? wanted : t->cap;
   const dbk_real bend = -t->half_period * (nx * m->ax + ny * m->ay + nz * m->az);
-  const dbk_real drift = nx * t->vx + ny * t->vy + nz * t->vz;
-  const dbk_real rhs = barrier + drift + t->error + (bend > (dbk_real)0 ? bend : (dbk_real)0);
+  const dbk_real followed = at_rest ? barrier : barrier + (nx * t->vx + ny * t->vy + nz * t->vz) + t->error;
+  const dbk_real rhs = followed + (bend > (dbk_real)0 ? bend : (dbk_real)0);
   const dbk_real rate = nx * m->vx + ny * m->vy + nz * m->vz;
   const dbk_weight w = {h, rhs, rate - m->spread - rhs};
   return w;

@@ -51,7 +51,7 @@ static void cover(const dbk_obstacle *o, dbk_covers *to, int32_t at) {
 static void prepare_covers(dbk_scene *scene) {
   static const dbk_obstacle nothing = {.shape = DBK_CAPSULE, .flags = DBK_STATIC};
   dbk_covers *to = &scene->covers;
-  to->any_half_space = to->any_separation = 0;
+  to->any_half_space = to->any_separation = to->any_long = 0;
   for (int32_t i = 0; i < DBK_PADDED(scene->n_obstacles); ++i) {
     const dbk_obstacle *o = i < scene->n_obstacles ? &scene->obstacle[i] : &nothing;
     cover(o, to, i);
@@ -67,8 +67,10 @@ static void prepare_covers(dbk_scene *scene) {
     to->moving[i] = !(o->flags & DBK_STATIC);
     to->rank[i] = o->rank;
     to->plain[i] = o->shape == DBK_CAPSULE && !(o->brake > (dbk_real)0);
+    to->ball[i] = !(to->half[i] > (dbk_real)0) && !(to->speed[i] > (dbk_real)0);
     to->any_half_space |= o->shape == DBK_HALF_SPACE;
     to->any_separation |= o->brake > (dbk_real)0;
+    to->any_long |= to->half[i] != (dbk_real)0;
   }
 }
 

@@ -119,11 +119,10 @@ DBK_WIDE static void weigh_sphere(const dbk_model *model, const dbk_ctx *ctx, co
   for (int32_t at = 0; at < count; ++at) {
     const int32_t s = p->first + at;
     dbk_real nx, ny, nz;
-    const dbk_real far = dbk_off_segment(cloud->x[s] - px, cloud->y[s] - py, cloud->z[s] - pz, (dbk_real)0, (dbk_real)0,
-                                         (dbk_real)0, (dbk_real)0, &nx, &ny, &nz);
+    const dbk_real far = dbk_off_point(cloud->x[s] - px, cloud->y[s] - py, cloud->z[s] - pz, &nx, &ny, &nz);
     const dbk_mover it = {cloud->r[s],     relative->vx[at], relative->vy[at], relative->vz[at],
                           m->ax[s] - bx, m->ay[s] - by,    m->az[s] - bz,    relative->spread[at]};
-    const dbk_weight weight = dbk_weigh(&it, &t, far - radius, nx, ny, nz);
+    const dbk_weight weight = dbk_weigh(&it, &t, 1, far - radius, nx, ny, nz);
     w->h[at] = weight.h;
     w->nx[at] = nx;
     w->ny[at] = ny;

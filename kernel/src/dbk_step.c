@@ -31,7 +31,7 @@ static int32_t input_flags(const dbk_model *model, const dbk_scene *scene, const
 /* what does not hang on the rows, at the lag-compensated state y = q + lag v: the box, and where the spheres are */
 static int32_t locate(const dbk_model *model, const dbk_scene *scene, dbk_ctx *ctx, const dbk_in *in,
                       const dbk_real *u_prev, const dbk_real *change) {
-  dbk_real y[DBK_MAX_DOF];
+  dbk_real y[DBK_MAX_DOF] = {0};
   int32_t conflict = 0, room = 1;
   for (int32_t k = 0; k < model->n; ++k) { y[k] = in->q[k] + model->lag * in->v[k]; }
   dbk_box(model, y, u_prev, ctx->lower, ctx->upper, &conflict);

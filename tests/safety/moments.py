@@ -78,10 +78,14 @@ def scale(rng, n):
     return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(M @ M.T)).T)
 
 
-def thing(rng, near, links, *, moving, apart):
-    """One row of the obstacle table, of any shape, from inside the point `near` to metres away."""
-    shape = int(rng.choice(3, p=[0.6, 0.3, 0.1]))
-    half = {CAPSULE: (0.0, 0.0, rng.choice([0.0, 0.2])), BOX: rng.uniform(0.01, 0.3, 3), HALF_SPACE: (0.0, 0.0, 0.0)}
+def thing(rng, near, links, *, moving, apart, balls=False):
+    """One row of the obstacle table, of any shape or a ball, from inside the point `near` to metres away."""
+    shape = CAPSULE if balls else int(rng.choice(3, p=[0.6, 0.3, 0.1]))
+    half = {
+        CAPSULE: (0.0, 0.0, 0.0 if balls else rng.choice([0.0, 0.2])),
+        BOX: rng.uniform(0.01, 0.3, 3),
+        HALF_SPACE: (0.0, 0.0, 0.0),
+    }
     radius = rng.uniform(0.01, 0.1) if shape == CAPSULE else 0.0
     way = rng.normal(size=3)
     place = near + way / np.linalg.norm(way) * rng.choice([0.05, 0.15, 0.3, 1.0, 2.0])
@@ -96,13 +100,16 @@ def thing(rng, near, links, *, moving, apart):
     ])  # fmt: skip
 
 
-def moment(rng, model, points, *, things=8, moving=True, apart=True, permits=True, held=4, rows=2, mobile=False):
-    """A moment of `model`; `points` (k, 3) are places that things may stand beside."""
+def moment(
+    rng, model, points, *, things=8, moving=True, apart=True, permits=True, held=4, rows=2, mobile=False, balls=False
+):  # fmt: skip
+    """A moment of `model`; `points` (k, 3) are places that things may stand beside. With `balls` all are that."""
     n, links = model["n"], len(model["link_frame"])
     base = (turn(rng), rng.uniform(-3.0, 3.0, 3)) if mobile else None
     R, p = base or (np.eye(3), np.zeros(3))
     table = [
-        thing(rng, p + R @ points[rng.integers(len(points))], links, moving=moving, apart=apart) for _ in range(things)
+        thing(rng, p + R @ points[rng.integers(len(points))], links, moving=moving, apart=apart, balls=balls)
+        for _ in range(things)
     ]
     allowed = {
         (int(rng.integers(links + 1)), int(rng.integers(things))): float(rng.choice([0.0, 0.05]))

@@ -16,6 +16,8 @@ KINDS = {
     "mobile": {"mobile": True},
     "alone": {"things": 0, "permits": False},
     "crowd": {"things": 21, "apart": False},
+    "balls at rest": {"things": 21, "apart": False, "moving": False, "balls": True},
+    "balls": {"things": 21, "apart": False, "balls": True},
     "one of each": {"things": 1, "held": 1, "rows": 1, "permits": False},
 }
 STOPPING = 1 | 2 | 4 | 8 | 16 | 32 | 64 | 256

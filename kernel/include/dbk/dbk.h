@@ -92,7 +92,8 @@ typedef struct {
   uint32_t parts[DBK_OBSTACLE_ROOM];                           /* none behind the last obstacle */
   int32_t known[DBK_OBSTACLE_ROOM], moving[DBK_OBSTACLE_ROOM], rank[DBK_OBSTACLE_ROOM];
   int32_t plain[DBK_OBSTACLE_ROOM]; /* the capsule is the obstacle, and no speed and separation is asked for */
-  int32_t any_half_space, any_separation;
+  int32_t ball[DBK_OBSTACLE_ROOM];  /* a ball at rest: without length, velocity and error of that */
+  int32_t any_half_space, any_separation, any_long;
 } dbk_covers;
 
 typedef struct {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 from math import inf, sqrt
+from struct import Struct
 
 import msgspec
 import numpy as np
@@ -13,6 +14,8 @@ from dualbrain.safety.rows import Rank
 
 Array = NDArray[np.float64]
 RawRow = tuple[int, int, int, float, float]
+BINDING = Struct("=3i2d")
+"""How the kernel packs a binding row: unpacked where somebody looks, as most answers are never looked at."""
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 """Kinds of rows, as the kernel counts them."""
 LIMITS = ("velocity", "acceleration", "jerk", "position")
@@ -108,8 +111,8 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
     `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
     `delta_rows`, `delta_box` and, where an order stood above it, `delta_supervisor`; `h_min` [m] the smallest barrier
     value of all pairs without a permit, NaN where the input was refused and nothing was measured; `certified`: h(y + dt
-    u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that were stated to it; `relaxed` has bit r set
-    when rows of rank r were given up in part.
+    u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that were stated to it; `binding` the rows that
+    bind, packed (see `rows`); `relaxed` has bit r set when rows of rank r were given up in part.
     """
 
     u: Array
@@ -124,9 +127,14 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
     certified: bool
     iterations: int
     n_rows: int
-    rows: tuple[RawRow, ...]
+    binding: bytes
     relaxed: int = 0
     delta_supervisor: float = 0.0
+
+    @property
+    def rows(self) -> tuple[RawRow, ...]:
+        """The binding rows by the kernel's indices: kind, i, j, h, multiplier; see `active`."""
+        return tuple(BINDING.iter_unpack(self.binding))
 
     @property
     def given_up(self) -> tuple[Rank, ...]:
@@ -166,8 +174,9 @@ class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and 
     def unfiltered(self) -> Filtered:
         """The same moment had nobody filtered: u is u_nom, without a certificate."""
         return msgspec.structs.replace(
-            self, u=self.u_nom, status=Status.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False, rows=()
-        )
+            self, u=self.u_nom, status=Status.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False,
+            binding=b"",
+        )  # fmt: skip
 
     def explain(self) -> str:
         """One sentence for people: what was near, and what was done about it."""
