@@ -12,6 +12,7 @@ from dualbrain.adaptation.fitting.team import ALONE
 from dualbrain.cli import adapt as command
 from dualbrain.cli import launcher, when_idle
 from dualbrain.cli.exits import Exit
+from dualbrain.errors import InvalidSetup
 from dualbrain.memory.events import ADAPTER, AdapterUse
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
@@ -138,6 +139,9 @@ def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
     assert not launcher.launched({})
     assert not launcher.launched({"WORLD_SIZE": "1"})
     assert launcher.launched({"WORLD_SIZE": "2"})
+    for size in ("", "two", "-2"):
+        with pytest.raises(InvalidSetup, match="unset WORLD_SIZE"):
+            launcher.launched({"WORLD_SIZE": size})
     launcher.account_of(ALONE).print("heard")
     launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
     assert capsys.readouterr().err == "heard\n"

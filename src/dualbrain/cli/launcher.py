@@ -14,8 +14,15 @@ from dualbrain.errors import InvalidSetup
 
 
 def launched(environ: Mapping[str, str] = os.environ) -> bool:
-    """Whether a launcher started this process as one of several: it says so in the environment."""
-    return int(environ.get("WORLD_SIZE", "1")) > 1
+    """Whether a launcher started this process as one of several: it says so in the environment.
+
+    Raises `InvalidSetup` if what it says is no number.
+    """
+    size = environ.get("WORLD_SIZE", "1")
+    if not size.isdecimal():
+        fix = "A launcher sets it; without one: `unset WORLD_SIZE`."
+        raise InvalidSetup("WORLD_SIZE in the environment", got=size, allowed="a number of processes", fix=fix)
+    return int(size) > 1
 
 
 @contextmanager
