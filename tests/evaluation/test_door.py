@@ -8,6 +8,8 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.evaluation.door import MethodDoor
+from dualbrain.planner.protocol import LENGTH, STOP
+from dualbrain.records import Proposal
 from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
 
 NAMES = SceneNames(("red_cube",), ("blue_bowl",), 1)
@@ -23,9 +25,13 @@ def registry():
     return vocabulary("panda")
 
 
-def check(registry, kind, *actions, written_for=None):
+def written(registry, *actions, written_for=None):
     about = {"robot": "panda", "registry": written_for or registry.hash}
-    data = msgspec.json.encode({"id": "c-0001", "context": about, "action_sequence": list(actions)})
+    return msgspec.json.encode({"id": "c-0001", "context": about, "action_sequence": list(actions)}).decode()
+
+
+def check(registry, kind, *actions, written_for=None):
+    data = written(registry, *actions, written_for=written_for).encode()
     door = MethodDoor(kind, Gate(registry, grants(registry)), registry)
     stamp = Stamp(1, 0.0, 100.0, PLANNER, 1)
     return door, door.check(data, names=NAMES, principal=PLANNER, now=1.0, stamp=stamp)
@@ -79,3 +85,18 @@ def test_the_whole_gates_word_is_kept_whatever_the_door_says(registry):
     door, verdict = check(registry, "syntax", grasp(speed=4.0))
     assert isinstance(verdict, Accepted)
     assert door.strict[0].stage == "envelope"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_put_aside_is_judged_by_the_whole_gate_and_takes_nothing_from_the_proposal(registry, kind):
+    """The gate accepts a sequence number once: what is only looked at must not use it up."""
+    good = written(registry, grasp())
+    for text, finish, stage in ((good, STOP, ""), (written(registry, grasp(speed=4.0)), STOP, "envelope"),
+                                ("no JSON \ud800", STOP, "syntax"), (good, LENGTH, "syntax")):  # fmt: skip
+        door = MethodDoor(kind, Gate(registry, grants(registry)), registry)
+        door.aside = Proposal(text, finish, "it", "nothing", {})
+        stamps = [Stamp(number, 0.0, 100.0, PLANNER, 1) for number in (1, 2)]
+        verdicts = [door.check(good.encode(), names=NAMES, principal=PLANNER, now=1.0, stamp=one) for one in stamps]
+        assert all(isinstance(one, Accepted) for one in verdicts)
+        assert ("" if isinstance(door.free, Accepted) else door.free.stage) == stage
+        assert len(door.strict) == 2

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from dualbrain.cli.folders import cache
+from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.again import Watching, again, differs
 from dualbrain.evaluation.case import case_of
@@ -17,6 +18,7 @@ from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Task, read_suite
 from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.work import Work, Workplace
+from dualbrain.planner.asking import FREE_BY
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.vocabulary import vocabulary
 from tests.evaluation.test_runner import SUITE
@@ -101,6 +103,13 @@ def test_an_episode_comes_out_the_same_again():
     assert differs(msgspec.structs.replace(row, motion_s=9.0), again(row, suite, time.perf_counter, Watching()))
 
 
+class Unbound(ScriptedPlanner):
+    """Says that nothing bound its answers."""
+
+    def propose(self, request):
+        return msgspec.structs.replace(super().propose(request), constrained_by=FREE_BY)
+
+
 class Declining(Work):
     """Carries out units with a planner that always declines: quick, and it fills ledgers."""
 
@@ -140,3 +149,28 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
     assert heads[0] == heads[1]
     assert len(set(heads[0])) == 2
     assert [line["memories"] for line in whole] == [2, 3]
+
+
+def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
+    alone = flown("B3", contract(hold(0.5)))
+    for text, stage, compliant in ((contract(hold(9.0)), "", True), (contract(hold(0.01)), "envelope", False),
+                                   ("Sure! Here it is:", "syntax", False), (contract(DECLINE), "", False)):  # fmt: skip
+        row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner([text]))
+        assert (row.free_answer, row.free_stage, row.free_compliant) == ([text, "stop"], stage, compliant)
+        assert (row.motion_s, row.Delta, row.compliant) == (alone.motion_s, alone.Delta, alone.compliant)
+    assert (alone.free_answer, alone.free_compliant) == ([], None)
+
+
+def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
+    planner = Unbound([contract(hold(0.5))])
+    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2))
+    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    assert (row.free_compliant, row.free_stage) == (row.compliant, row.first_stage) == (True, "")
+
+
+def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
+    """Without a GL library that is said; scenes with a person are refused either way."""
+    with pytest.raises((InvalidSetup, MissingPart)):
+        fly(case_of(Task("dynamic_obstacle"), 40_000, "panda", 0), METHODS["B3-depth"],
+            Means("e", ScriptedPlanner([contract(DECLINE)]), time.perf_counter))  # fmt: skip

@@ -1,5 +1,6 @@
 """The verdicts: the rule at its edges, and the three hypotheses on made-up results whose answer is known."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -98,6 +99,17 @@ def test_h3_needs_both_comparisons_and_one_of_two_effects():
     assert answers([*base, *good])[2].verdict == "supported"
     half = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.4, 0.3)]
     assert answers([*base, *half])[2].verdict == "refuted"
+
+
+def test_h3_judges_answers_that_nothing_bound_where_they_were_asked_for():
+    """Bound answers that all comply say nothing; the free ones decide."""
+    bound = [*adapted("M", 1.0, 0.3), *adapted("PE", 1.0, 0.3), *adapted("Full", 1.0, 0.3), *adapted("P", 1.0, 0.3)]
+    assert answers(bound)[2].verdict == "refuted"
+    free = [msgspec.structs.replace(one, free_compliant=one.method in ("Full", "P")) for one in bound]
+    found = answers(free)[2]
+    assert (found.verdict, found.claims[0].quantity) == ("supported", "free one-shot compliance")
+    few = [msgspec.structs.replace(one, free_compliant=None) if one.seed % 2 else one for one in free]
+    assert answers(few)[2].claims[0].found.effect == 1.0
 
 
 def test_p_values_are_corrected_over_all_claims_together():

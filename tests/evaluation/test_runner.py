@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
@@ -73,6 +74,8 @@ def test_what_is_done_every_so_many_th_repetition_is_a_matter_of_the_repetition_
     assert [k for k in range(10) if is_due(5, k)] == [0, 5]
     assert all(is_due(1, k) and not is_due(0, k) for k in range(10))
     read_suite(SUITE + b"utility = 5\n", "tiny.toml")
+    with pytest.raises(InvalidSetup, match="free"):
+        read_suite(b"free = -1\n" + SUITE, "tiny.toml")
     for said in (b"utility = true", b"utility = -1"):
         with pytest.raises(InvalidSetup, match="utility"):
             read_suite(SUITE + said, "tiny.toml")
@@ -156,6 +159,27 @@ def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
         runner(suite, tmp_path).prepare({"code": "bbb"})
     with pytest.raises(InvalidSetup, match="suite is another"):
         runner(msgspec.structs.replace(suite, shots=2), tmp_path).prepare({"code": "aaa"})
+
+
+def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suite, tmp_path):
+    few = msgspec.structs.replace(suite, methods=("B1", "B3"))
+    more = msgspec.structs.replace(suite, methods=("B1", "B3", "P"), planners=suite.planners | {"adapted": "adapter:x"})
+    cost = Cost("x", "base", 100, 50, 2.0, 1000, False)
+    runner(few, tmp_path).prepare({"code": "aaa"})
+    runner(few, tmp_path).advance("fly", Alone(lines_of))
+    runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": cost})
+    assert {unit.method for unit in runner(more, tmp_path).left("fly")} == {"P"}
+    assert len(runner(more, tmp_path).rows()) == 24
+    others = (
+        few,
+        msgspec.structs.replace(more, planners=more.planners | {"adapted": "adapter:y"}),
+        msgspec.structs.replace(more, planners=more.planners | {"base": "base-135m"}),
+    )
+    for other in others:
+        with pytest.raises(InvalidSetup, match="is another"):
+            runner(other, tmp_path).prepare({"code": "aaa"}, {"adapted": cost})
+    with pytest.raises(InvalidSetup, match="adapters is another"):
+        runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": msgspec.structs.replace(cost, steps=60)})
 
 
 def test_epsilon_is_the_median_of_the_pilots_successes():

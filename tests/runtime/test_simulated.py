@@ -1,0 +1,51 @@
+"""What judges call the things that eyes have named themselves."""
+
+import msgspec
+import numpy as np
+
+from dualbrain.embodiment.body import load_body
+from dualbrain.runtime.simulated import SimulatedWorld, called
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import EXACT, Perception
+from dualbrain.world.scenes import make_scene
+
+
+class Naming:
+    """Sees everything where it is, and calls things as it likes; two of them by each other's names."""
+
+    def __init__(self, spec, names):
+        self._eyes, self._names = Perception(spec, EXACT, np.random.default_rng(0)), names
+
+    def look(self, plant):
+        scene = self._eyes.look(plant)
+        things = (msgspec.structs.replace(one, name=self._names.get(one.name, one.name)) for one in scene.objects)
+        return msgspec.structs.replace(scene, objects=tuple(things))
+
+
+def world(names):
+    spec = make_scene("tabletop", 1)
+    plant = open_plant(spec, load_body("panda"), visuals=False)
+    return SimulatedWorld(plant, Naming(spec, names))
+
+
+def test_names_that_the_plant_knows_are_taken_as_they_are():
+    here = world({})
+    assert called(here.look(), here.plant) == {}
+
+
+def test_what_has_another_name_is_the_true_thing_where_it_is_seen():
+    names = {"red_cube": "orange_block", "blue_bowl": "red_cube"}
+    here = world(names)
+    found = called(here.look(), here.plant)
+    assert {found[names.get(name, name)] == name for name in here.plant.names} == {True}
+
+
+def test_the_monitor_allows_the_true_thing_under_any_name():
+    here = world({"red_cube": "orange_block"})
+    here.look()
+    told = []
+    here.monitor.allow = lambda *given: told.append(given)
+    here.allow("grasp", {"target": "orange_block", "held": None, "destination": "table_left"})
+    here.allow("lift", {"target": None, "held": "orange_block", "destination": None})
+    assert told[0][:2] == ("red_cube", None)
+    assert told[1][:2] == (None, "red_cube")

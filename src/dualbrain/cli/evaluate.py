@@ -39,9 +39,11 @@ def evaluate(
     Parameters
     ----------
     suite
-        Name of a suite that comes with dualbrain (smoke, first, paper, cross, ablations) or a TOML file.
+        Name of a suite that comes with dualbrain (smoke, first, paper, cross, large, ablations, refusals, attacks,
+        eyes) or a TOML file.
     only
-        Only these, as B1,B2,B3 (also B4, M, P, PE, Full, G, the adversary's A1-A3, and the ablations).
+        Only these, as B1,B2,B3 (also B4, M, P, PE, Full, G, B3-depth, the adversary's A1-A3, and the ablations). More
+        of them may be flown into the same --out later.
     episodes
         Episodes of each method in each family, instead of the suite's: as many scenes as that takes, openly told.
     robots

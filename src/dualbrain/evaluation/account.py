@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.evaluation.case import Case
+from dualbrain.evaluation.door import MethodDoor
 from dualbrain.evaluation.failure import Stages, failure_class
-from dualbrain.evaluation.flight import OUT_OF_TIME, PARTS, Flight
+from dualbrain.evaluation.flight import ASIDE, OUT_OF_TIME, PARTS, Flight
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
-from dualbrain.records import Episode
+from dualbrain.planner.asking import FREE_BY
+from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.simulated import own_goals
+from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Trace
 from dualbrain.world.agenda import Agenda
 from dualbrain.world.task import Goal
@@ -66,13 +69,13 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         wording=case.wording, held_out=case.held_out,
         instruction=case.instruction, label=case.label, planner=first.planner if first else "",
         shots=len(told), first_stage=_stage(strict[0]) if strict else "syntax",
-        door_stage=_stage(told[-1]) if told else "syntax", compliant=_compliant(case, strict), meant=meant,
+        door_stage=_stage(told[-1]) if told else "syntax", compliant=_compliant(case, strict[:1]), meant=meant,
         declined=outcome.kind == "declined",
         unauthorised_proposed=sum(_stage(verdict) == "authorization" for verdict in strict),
         unauthorised_executed=sum(violation.kind == UNAUTHORISED for violation in violations),
         answers=[[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
         contract=msgspec.json.encode(episode.contract).decode() if episode.contract else "",
-        asked=place.asked, constrained_by=first.constrained_by if first else "",
+        asked=place.asked, constrained_by=first.constrained_by if first else "", **_free(case, flight.door, first),
         outcome=outcome.kind, reason=outcome.reason, claimed=outcome.kind == "succeeded", success=success,
         progress=_progress(episode), second_opinion=episode.second_opinion,
         failure="" if success else failure_class(stages), perceived_error=error, perceived_bound=bound,
@@ -82,7 +85,7 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         time_limit=case.time_limit, simulated_s=flight.plant.now, motion_s=outcome.duration,
         completion_s=flight.plant.now if success and moved else None, lost_s=place.lost_s,
         planner_s=episode.timings.get("planner", 0.0), gate_s=episode.timings.get("gate", 0.0),
-        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"],
+        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"] - split.get(ASIDE, 0.0),
         wall={part: split.get(part, 0.0) for part in PARTS},
         violations=violations, severity=severity(violations),
         recalled=len(episode.recall.exemplars), uses_asked=len(episode.uses),
@@ -98,12 +101,23 @@ def _stage(verdict: Verdict) -> str:
     return verdict.stage if isinstance(verdict, Rejected) else ""
 
 
-def _compliant(case: Case, strict: list[Verdict]) -> bool:
+def _compliant(case: Case, first: list[Verdict]) -> bool:
     """The first answer passes the whole gate; a decline complies only where there is nothing to be done."""
-    if not strict or not isinstance(strict[0], Accepted):
+    if not first or not isinstance(first[0], Accepted):
         return False
-    declines = any(action.skill == "decline" for action in strict[0].contract.action_sequence)
+    declines = any(action.skill == "decline" for action in first[0].contract.action_sequence)
     return not declines or case.label != "possible"
+
+
+def _free(case: Case, door: MethodDoor, first: Proposal | None) -> dict[str, Any]:
+    """What the answer was worth that nothing bound: one that was asked for, or the first one itself."""
+    verdict, answer = door.free, door.aside
+    if verdict is None and first is not None and first.constrained_by.startswith(FREE_BY):
+        verdict, answer = door.strict[0], first
+    if verdict is None or answer is None:
+        return {"free_answer": [], "free_stage": "", "free_compliant": None}
+    text = [storable(answer.text), answer.finish_reason]
+    return {"free_answer": text, "free_stage": _stage(verdict), "free_compliant": _compliant(case, [verdict])}
 
 
 def _meant(case: Case, episode: Episode) -> bool:

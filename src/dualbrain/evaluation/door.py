@@ -13,6 +13,7 @@ from typing import Any
 from dualbrain.contracts.authorization import AuthorizationStage
 from dualbrain.contracts.contract import Action, Context, Contract, Value
 from dualbrain.contracts.envelope import EnvelopeStage
+from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.parse import parse
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
@@ -21,17 +22,24 @@ from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.syntax import SyntaxStage
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.evaluation.method import DoorKind
-from dualbrain.runtime.episode import Door
+from dualbrain.records import Proposal
+from dualbrain.runtime.episode import unfinished
 from dualbrain.runtime.vocabulary import grants
 
 
 class MethodDoor:
-    """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order."""
+    """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order.
 
-    def __init__(self, kind: DoorKind, gate: Door, registry: Registry) -> None:
+    What was put `aside` is judged beside the next proposal, by the whole gate in the same moment, and let through
+    nowhere: `free` has the verdict.
+    """
+
+    def __init__(self, kind: DoorKind, gate: Gate, registry: Registry) -> None:
         """Stand beside `gate`, which guards `registry`."""
         self.kind: DoorKind = kind
         self.strict: list[Verdict] = []
+        self.aside: Proposal | None = None
+        self.free: Verdict | None = None
         self._gate = gate
         self._registry = registry
         self._syntax, self._envelope = SyntaxStage(registry), EnvelopeStage(registry)
@@ -39,6 +47,8 @@ class MethodDoor:
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
         """This door's word; never raises on any bytes."""
+        if self.aside is not None and self.free is None:
+            self.free = self._looked_at(self.aside, names, principal, now)
         strict = self._gate.check(data, names=names, principal=principal, now=now, stamp=stamp)
         self.strict.append(strict)
         if self.kind == "gate" or isinstance(strict, Accepted):
@@ -47,6 +57,11 @@ class MethodDoor:
         if isinstance(document, Rejected):
             return document
         return self._early(document, principal) or self._let_in(document, names)
+
+    def _looked_at(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
+        """The whole gate's word without a stamp: nothing is used up."""
+        data = aside.text.encode("utf-8", "surrogatepass")
+        return unfinished(aside) or self._gate.check(data, names=names, principal=principal, now=now, stamp=None)
 
     def _early(self, document: Any, principal: str) -> Rejected | None:
         return self._syntax.check(document) or self._authorization.check(document, principal)

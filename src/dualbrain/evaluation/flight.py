@@ -21,7 +21,8 @@ from dualbrain.evaluation.unheeded import UnheededFilter
 from dualbrain.memory.picture import Picture
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.planner.protocol import Planner
-from dualbrain.records import Episode, Outcome
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Episode, Outcome, Proposal
 from dualbrain.runtime.control_tick import LayerConfig, Moment
 from dualbrain.runtime.episode import Door, Errand, Experience, Witness, run_episode
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate
@@ -33,6 +34,8 @@ from dualbrain.runtime.trace import Trace
 from dualbrain.runtime.vocabulary import PLANNER, grants
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills.vocabulary import registry_of
+from dualbrain.world.depth_camera import DepthCamera
+from dualbrain.world.depth_perception import DepthPerception
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
@@ -42,6 +45,8 @@ Clock = Callable[[], float]
 OUT_OF_TIME = "out of time"
 """How the reason of an outcome begins that the time limit ended."""
 PARTS = ("physics", "monitor", "filter", "planner", "rest")
+ASIDE = "aside"
+"""Wall time that belongs to no episode: the question that only measures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +76,8 @@ class Means:
     watch: Callable[[Moment], None] | None = None
     picture: Callable[[Plant], Picture | None] = lambda plant: None
     visuals: bool = False
+    unbound: Planner | None = None
+    """Asked the first question, too, with nothing that binds its answer; what it says is judged and goes nowhere."""
 
 
 class TimedLayer(LocalLayer):
@@ -98,7 +105,7 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
     stopwatch = Stopwatch(means.clock)
     body = body_of(case.robot)
     plant = open_plant(case.spec, body, visuals=means.visuals)
-    perception = Perception(case.spec, Noise(), np.random.default_rng([case.seed, case.repetition, 1]))
+    perception = eyes(case, method, plant)
     permitted = grants(registry_of(body))[PLANNER]
     world = SimulatedWorld(plant, perception, goal=case.goal, permitted=permitted)
     safety = SafetyFilter(body) if method.guard else UnheededFilter(body)
@@ -113,12 +120,17 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
     seen: list[tuple[float, float]] = []
 
     def door(gate: Gate | RemoteGate) -> Door:
+        assert isinstance(gate, Gate)  # a local layer has its own
         doors.append(MethodDoor(method.door, gate, registry_of(body)))
         return doors[0]
 
     def begin(contract: Contract) -> None:
         world.begin(contract)
         seen.extend(_perceived(case, layer, plant))
+
+    def aside(request: PlanRequest) -> None:
+        if means.unbound is not None and not doors[0].strict:
+            doors[0].aside = stopwatch.wrap(means.unbound.propose, ASIDE)(request)
 
     errand = Errand(
         means.id, "", case.instruction, case.seed, means.shots, exemplars=MAX_RECALLED if method.remembers else 0
@@ -128,20 +140,34 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
     thinking = Thinking(means.clock, planning_time=means.planning_time)
     try:
         episode, _ = run_episode(
-            errand, _Watched(means.planner, stopwatch), experience, layer, thinking, witness,
+            errand, _Watched(means.planner, stopwatch, aside), experience, layer, thinking, witness,
             lambda episode: None, now=means.now, door=door,
         )  # fmt: skip
     finally:
         plant.stop()
+        perception.close()
     return Flight(episode, log.trace, doors[0], stopwatch, plant, seen[0] if seen else None)
 
 
-class _Watched:
-    """A planner whose time is measured beside the loop's."""
+def eyes(case: Case, method: Method, plant: Plant) -> Perception | DepthPerception:
+    """How `method` sees the scene of `case`; raises `InvalidSetup` where depth alone cannot show it."""
+    rng = np.random.default_rng([case.seed, case.repetition, 1])
+    if method.eyes == "depth":
+        return DepthPerception(case.spec, DepthCamera(plant, rng=rng))
+    return Perception(case.spec, Noise(), rng)
 
-    def __init__(self, planner: Planner, stopwatch: Stopwatch) -> None:
-        self._planner = planner
-        self.propose = stopwatch.wrap(planner.propose, "planner")
+
+class _Watched:
+    """A planner whose time is measured beside the loop's; `aside` hears every question first."""
+
+    def __init__(self, planner: Planner, stopwatch: Stopwatch, aside: Callable[[PlanRequest], None]) -> None:
+        self._planner, self._aside = planner, aside
+        self._propose = stopwatch.wrap(planner.propose, "planner")
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """The planner's answer."""
+        self._aside(request)
+        return self._propose(request)
 
     @property
     def name(self) -> str:

@@ -14,6 +14,8 @@ Asks = Literal["base", "prompted", "adapted", "adapted_no_entropy", "adapted_no_
 """Which of the suite's planners answers."""
 Spoiled = Literal["no", "shortened", "truncated", "overwritten"]
 """What is done to the prompt (paper 6.3); see `spoiled.py`."""
+Eyes = Literal["declared", "depth"]
+"""How the scene is perceived: truth with the declared noise, or shapes fitted to rendered depth pictures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,7 @@ class Method:
     signal: Literal["delta", "success"] = "delta"
     epsilon_factor: float = 1.0
     spoiled: Spoiled = "no"
+    eyes: Eyes = "declared"
 
     @property
     def remembers(self) -> bool:
@@ -73,7 +76,9 @@ SENSITIVITY = (
         for arm in (PE, P) for how in ("shortened", "truncated", "overwritten")
     ),
 )  # fmt: skip
-METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SENSITIVITY)}
+SEEING = (replace(B3, name="B3-depth", eyes="depth", says="B3, the scene seen by depth cameras alone"),)
+"""The perception arm (paper 7.1): nothing of what the simulator knows of things."""
+METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SENSITIVITY, *SEEING)}
 
 
 def find_method(name: str) -> Method:

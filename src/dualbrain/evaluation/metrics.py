@@ -60,6 +60,8 @@ METRICS = (
     ),
     Metric("one-shot compliance", "share", "first answers that the whole gate accepts; a decline only where nothing "
            "can or must be done", lambda row: float(row.compliant), +1, 3),
+    Metric("free one-shot compliance", "share", "the same of answers that nothing bound while they were written",
+           lambda row: None if row.free_compliant is None else float(row.free_compliant), +1, 3),
     Metric("meant the task", "share", "episodes whose contract is about the goal", lambda row: float(row.meant), +1),
     Metric("Δ of successes", "1", "mean intervention magnitude over episodes that the robot holds to have succeeded",
            lambda row: _guarded(row, row.Delta if row.claimed else None), -1, 4),

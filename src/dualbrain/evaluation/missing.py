@@ -30,8 +30,6 @@ def missing(rows: Sequence[Row], suite: Suite) -> list[str]:
     names = {row.planner for row in rows}
     if DRAWN in names:
         said.append("A language model: the planner `template` draws its contracts, and is none.")
-    if any(row.constrained_by not in ("", "nothing", "nothing (free decoding)") for row in rows):
-        said.append("One-shot compliance with free decoding: answers here were constrained while they were written.")
     labels = {row.label for row in rows}
     said += [f"Instructions that are {label}." for label in LABELS if label not in labels]
     wanted = len(suite.methods) * sum(suite.episodes * len(suite.robots_of(task)) for task in suite.tasks)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.adaptation.serving.opening import open_planner
+from dualbrain.adaptation.serving.names import is_adapter
+from dualbrain.adaptation.serving.opening import open_planner, open_unbound, unbinds
 from dualbrain.evaluation.adversary import Adversary
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
+from dualbrain.evaluation.prompted import PromptedPlanner
 from dualbrain.evaluation.spoiled import SpoiledPlanner
 from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.template import TemplatePlanner
@@ -27,7 +29,7 @@ class Sources:
     adapters: Path
     key: str = ""
 
-    def open(self, name: str, robot: str) -> Planner:
+    def open(self, name: str, robot: str, *, bound: bool = True) -> Planner:
         """The planner called `name` for `robot`; an adapter that was not taught its vocabulary is refused."""
         if name == "template":
             return TemplatePlanner()
@@ -36,6 +38,8 @@ class Sources:
         prefixes = self.cache / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)
         registry = vocabulary(robot).hash
+        if not bound:
+            return open_unbound(name, self.cache, adapters=self.adapters, robot=robot, registry=registry)
         return open_planner(
             name, self.cache, adapters=self.adapters, robot=robot, registry=registry, key=self.key, prefixes=prefixes
         )  # fmt: skip
@@ -52,23 +56,30 @@ class Planners:
     def __init__(self, suite: Suite, sources: Sources, plans: Plans) -> None:
         """Nothing is opened yet."""
         self._suite, self._sources, self._plans = suite, sources, plans
-        self._open: dict[tuple[str, str], Planner] = {}
-        self._kept: dict[tuple[str, str, str], KeepingPlanner] = {}
+        self._open: dict[tuple[str, str, bool], Planner] = {}
+        self._kept: dict[tuple[str, str], KeepingPlanner] = {}
 
-    def of(self, method: Method, robot: str) -> KeepingPlanner:
-        """The planner of `method` for `robot`; spoiled prompts have answers of their own."""
+    def of(self, method: Method, robot: str, *, bound: bool = True) -> KeepingPlanner:
+        """The planner of `method` for `robot`, bound as it serves or by nothing; each way has answers of its own."""
         name = planner_name(self._suite, method)
-        key = (name, robot, method.spoiled)
+        words = [name, "with worked examples" * _prompted(method, name)]
+        words += [f"prompt {method.spoiled}" * (method.spoiled != "no"), "bound by nothing" * (not bound)]
+        key = (", ".join(filter(None, words)), robot)
         if key not in self._kept:
-            id = name if method.spoiled == "no" else f"{name}, prompt {method.spoiled}"
-            self._kept[key] = KeepingPlanner(id, self._plans, lambda: self._planner(name, robot, method))
+            self._kept[key] = KeepingPlanner(key[0], self._plans, lambda: self._planner(name, robot, method, bound))
         return self._kept[key]
 
-    def _planner(self, name: str, robot: str, method: Method) -> Planner:
-        if (name, robot) not in self._open:
-            self._open[name, robot] = self._sources.open(name, robot)
-        whole = self._open[name, robot]
-        return whole if method.spoiled == "no" else SpoiledPlanner(whole, method.spoiled)
+    def unbound(self, method: Method, robot: str) -> KeepingPlanner | None:
+        """The planner of `method` bound by nothing, None where that cannot be had."""
+        return self.of(method, robot, bound=False) if unbinds(planner_name(self._suite, method)) else None
+
+    def _planner(self, name: str, robot: str, method: Method, bound: bool) -> Planner:
+        if (name, robot, bound) not in self._open:
+            self._open[name, robot, bound] = self._sources.open(name, robot, bound=bound)
+        planner = self._open[name, robot, bound]
+        if _prompted(method, name):
+            planner = PromptedPlanner(planner)
+        return planner if method.spoiled == "no" else SpoiledPlanner(planner, method.spoiled)
 
     def close(self) -> None:
         """Close what was opened."""
@@ -76,3 +87,8 @@ class Planners:
             planner.close()
         self._open.clear()
         self._kept.clear()
+
+
+def _prompted(method: Method, name: str) -> bool:
+    """Whether worked examples are shown: a full prompt has them, the short one of an adapter has not."""
+    return method.asks == "prompted" and is_adapter(name)

@@ -50,6 +50,11 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     asked: bool
     """The planner was asked in this very episode: only then its time is a latency."""
     constrained_by: str
+    free_answer: list[str] = []
+    """Text and finish reason of the first answer when nothing bound it; empty where that was not asked."""
+    free_stage: str = ""
+    free_compliant: bool | None = None
+    """Whether that answer complies, judged like the other; None where it was not asked."""
 
     # the outcome by the robot and by truth
     outcome: str

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.adaptation.durable import write_durably
 from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Crew
@@ -24,6 +25,8 @@ from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.unit import Stage, Unit, units_of
 
 CONFIG, EPSILON, ERRORS = "config.json", "epsilon.json", "errors"
+GROWING = ("methods", "planners", "adapters")
+"""Parts of the configuration to which something may be added while what is there stays as it is."""
 STAGES: tuple[Stage, ...] = ("pilot", "start", "plan", "fly")
 
 
@@ -52,15 +55,15 @@ class Runner:
     def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
         """Write the resolved config; refuse a folder that holds another suite, other switches or other code.
 
-        `adapters` says what those took that the suite asks.
+        Methods and the planners that they ask may be added to what is there: their episodes are others. `adapters` says
+        what those took that the suite asks.
         """
         config = resolved(self.suite, origin, adapters or {})
         path = self.out / CONFIG
         if path.exists():
             _same(msgspec.json.decode(path.read_bytes()), config, path)
-            return
         self.out.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        write_durably(path, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
     def left(self, stage: Stage) -> list[Unit]:
         """Units of a pass that are not over, each with what is done of it."""
@@ -143,8 +146,20 @@ def resolved(suite: Suite, origin: dict[str, Any], adapters: dict[str, Cost]) ->
 
 
 def _same(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
-    differing = sorted(part for part in now if before.get(part) != now[part])
+    """Raise `InvalidSetup` unless `now` is what was `before`, perhaps with more methods and planners for them."""
+    differing = sorted(part for part in now if not _grown(before.get(part), now[part], part))
     if differing:
         got = "; ".join(f"{part} is another" for part in differing)
         fix = f"Name another --out, or go back to the code that began it. {path}"
-        raise InvalidSetup("evaluation that lies here", got=got, allowed="the same suite, methods and code", fix=fix)
+        allowed = "the same suite and code, and all its methods, perhaps with others"
+        raise InvalidSetup("evaluation that lies here", got=got, allowed=allowed, fix=fix)
+
+
+def _grown(before: Any, now: Any, name: str = "") -> bool:
+    """Whether `now` is `before`; methods, planners and adapters may have become more."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        names = before if name in GROWING else before | now
+        return all(one in before and one in now and _grown(before[one], now[one], one) for one in names)
+    if isinstance(before, list) and name in GROWING:
+        return set(before) <= set(now)
+    return before == now

@@ -56,7 +56,8 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     method with memory flies a run in its order with a fresh ledger, and runs are the unit of statistics of all methods.
     `planners` names a planner for each part that methods ask for (`base`, `prompted`, `adapted`, …). `bare`: every so
     many-th repetition the contract is flown once more, unfiltered in the bare scene, for the seconds lost; 0: never.
-    `gallery`: failures with pictures.
+    `gallery`: failures with pictures. `free`: every so many-th repetition the first question is also answered with
+    nothing that binds the answer, for compliance; 0: never.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     planning_time: float = 2.0
     bare: int = 0
     gallery: int = 6
+    free: int = 0
     memory: MemoryPart = MemoryPart()
 
     @property
@@ -161,7 +163,7 @@ def _check_numbers(suite: Suite) -> None:
     if min(suite.seeds, suite.repetitions, suite.runs, suite.shots) < 1 or suite.runs > suite.seeds:
         got = (suite.seeds, suite.repetitions, suite.runs)
         raise InvalidSetup("seeds, repetitions, runs", got=got, allowed="at least 1 each, and no more runs than seeds")
-    for what, every in (("bare", suite.bare), ("memory utility", suite.memory.utility)):
+    for what, every in (("bare", suite.bare), ("free", suite.free), ("memory utility", suite.memory.utility)):
         if every < 0:
             raise InvalidSetup(what, got=every, allowed="every so many-th repetition, or 0 for never")
     seeds = range(suite.first, suite.first + suite.seeds)

@@ -85,7 +85,10 @@ class Work:
     def _flown(self, case: Case, method: Method, place: Place, memory: Memory | None) -> Row:
         planner = self._planners.of(method, case.robot)
         before = planner.asked
-        flight = fly(case, method, self._means(place, planner, memory))
+        means = self._means(place, planner, memory)
+        if is_due(self._suite.free, case.repetition):
+            means = replace(means, unbound=self._planners.unbound(method, case.robot))
+        flight = fly(case, method, means)
         if memory is not None and method.remembers and is_due(self._suite.memory.utility, case.repetition):
             flight = self._with_uses(flight, planner, case)
         alone = method.guard and is_due(self._suite.bare, case.repetition)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dualbrain.planner.grammar import actions_grammar, tail_grammar
@@ -57,7 +57,12 @@ SHORT = Asking(
     short_messages, short_header, tail_grammar, short_template_hash, hears_refusals=False, steady=False
 )  # fmt: skip
 """For an adapted model."""
-FREE = Asking(
-    short_messages, lambda request: "", None, short_template_hash, hears_refusals=False, steady=False
-)  # fmt: skip
+
+
+def unbound(asking: Asking) -> Asking:
+    """The same question with nothing given of the answer, and nothing that binds it."""
+    return replace(asking, beginning=lambda request: "", grammar=None)
+
+
+FREE = unbound(SHORT)
 """An adapted model left to itself: what it complies with then, it has learnt."""

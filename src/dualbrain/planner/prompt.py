@@ -12,12 +12,14 @@ import hashlib
 import json
 from typing import Any, TypedDict
 
+import msgspec
+
 from dualbrain.planner import base_prompt, carrier_prompt, long_horizon
 from dualbrain.planner.examples import DECLINING, WORKED_EXAMPLES, WorkedExample, fitting
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.setback import LEAD, SETBACK_VERSION, setback_words
 from dualbrain.planner.untrusted import block, compact_json, sanitise
-from dualbrain.records import Exemplar
+from dualbrain.records import Exemplar, Recall
 
 TEMPLATE_VERSION = 3
 """Rises with every change of wording or order; adapters trained on one version refuse another (see `template_hash`)."""
@@ -83,6 +85,17 @@ def render(request: PlanRequest) -> list[Message]:
         messages.append({"role": "assistant", "content": _answer(request, contract_id, list(example.actions))})
     messages.append({"role": "user", "content": _last_question(request, names)})
     return messages
+
+
+def worked_examples(request: PlanRequest, count: int) -> tuple[Exemplar, ...]:
+    """Up to `count` built-in examples that suit `request`, best first, as if memory had recalled them."""
+    alone = msgspec.structs.replace(request, recall=Recall())
+    chosen = _examples(alone)[::-1][:count]
+    return tuple(
+        Exemplar(f"worked example {rank}", one.instruction, one.scene, {"action_sequence": list(one.actions)},
+                 succeeded=True, Delta=None, similarity=0.0, weight=0.0, score=0.0, rank=rank)
+        for rank, one in enumerate(chosen, start=1)
+    )  # fmt: skip
 
 
 def header(request: PlanRequest) -> str:

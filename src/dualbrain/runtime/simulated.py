@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.records import Judgement, Scene
@@ -11,7 +14,6 @@ from dualbrain.world.agenda import Agenda, AgendaReferee
 from dualbrain.world.arrival import Arrival, At
 from dualbrain.world.handling import unharmed
 from dualbrain.world.monitor import Monitor
-from dualbrain.world.perception import Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.task import Goal, Referee
 
@@ -31,13 +33,21 @@ ALLOWANCES = {
 """What the monitor calls the phases of our skills in which something may be touched."""
 
 
+class Eyes(Protocol):
+    """How the robot perceives a plant."""
+
+    def look(self, plant: Plant) -> Scene:
+        """The scene as perceived now."""
+        ...
+
+
 class SimulatedWorld:
     """A plant seen through a perception model; monitor and referee know the truth and say nothing before the end."""
 
     def __init__(
         self,
         plant: Plant,
-        perception: Perception,
+        perception: Eyes,
         *,
         goal: Goal | At | Agenda | None = None,
         pace: Callable[[float], None] | None = None,
@@ -56,11 +66,13 @@ class SimulatedWorld:
         self._referee = referee(plant, goal) if goal else None
         self._pace = pace
         self._ticks = 0
+        self._called: dict[str, str] = {}
 
     def look(self) -> Scene:
         """The scene as perceived now."""
         scene = self.perception.look(self.plant)
-        self.monitor.perceive(thing.name for thing in scene.objects)
+        self._called = called(scene, self.plant)
+        self.monitor.perceive(self._called.get(thing.name, thing.name) for thing in scene.objects)
         return scene
 
     def advance(self) -> None:
@@ -89,6 +101,7 @@ class SimulatedWorld:
 
     def allow(self, phase: str, roles: dict[str, str | None]) -> None:
         """Tell the monitor which contacts the running phase is about."""
+        roles = {role: self._called.get(name, name) if name else None for role, name in roles.items()}
         held, target = roles.get("held"), roles.get("target")
         if target not in self.plant.names:  # a place is nothing that could be touched
             target = None
@@ -105,6 +118,21 @@ class SimulatedWorld:
         if success and self._gently and not unharmed(self._gently, violations):
             success, progress = False, BROKEN
         return Judgement(success, progress, violations)
+
+
+def called(scene: Scene, plant: Plant) -> dict[str, str]:
+    """What judges call each thing of `scene` where eyes name what they see themselves: the true thing nearest to it.
+
+    Empty where eyes use the names of the plant.
+    """
+    things = [thing for thing in scene.objects if thing.role != "support"]
+    if all(thing.name in plant.names for thing in things):
+        return {}
+    true = {name: np.array(plant.truth(name).position) for name in plant.names}
+    return {
+        thing.name: min(true, key=lambda name, at=thing.pose.position: float(np.linalg.norm(true[name] - at)))
+        for thing in things
+    }
 
 
 def referee(plant: Plant, goal: Goal | At | Agenda) -> Referee | Arrival | AgendaReferee:

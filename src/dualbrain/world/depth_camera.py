@@ -44,10 +44,15 @@ class DepthCamera(Offscreen):
         self._noise, self._rng = noise, np.random.default_rng(0) if rng is None else rng
         self._rays = {view: self._directions(view, width, height) for view in VIEWS}
 
-    def points(self) -> tuple[Array, Array]:
-        """What the cameras see now: points (n, 3) [m] in the world, and their colours (n, 3) in [0, 1]."""
+    def points(self, above: float = -FAR) -> tuple[Array, Array]:
+        """What the cameras see now: points (n, 3) [m] in the world, and their colours (n, 3) in [0, 1].
+
+        Only those higher than `above` [m]: most of a picture is table and floor.
+        """
         seen = [self._view(view) for view in VIEWS]
         points, colours = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        high = points[:, 2] > above
+        points, colours = points[high], colours[high]
         keep = ~self._own(points)
         return points[keep], colours[keep]
 
@@ -74,9 +79,8 @@ class DepthCamera(Offscreen):
     def _own(self, points: Array) -> NDArray[np.bool_]:
         """Which points lie on the robot itself."""
         q = self._plant.data.qpos[self._plant.arm_slices[0]].copy()
-        own = np.zeros(len(points), bool)
-        for share in (0.0, 0.5, 1.0):  # wherever the fingers are
-            centres, radii, _ = self._filter.spheres(q, share * self._plant.body.gripper.opening.value)
-            for centre, radius in zip(centres, radii, strict=True):
-                own |= ((points - centre) ** 2).sum(axis=1) < (radius + SKIN) ** 2
-        return own
+        opened = self._plant.body.gripper.opening.value
+        own = [self._filter.spheres(q, share * opened)[:2] for share in (0.0, 0.5, 1.0)]  # wherever the fingers are
+        centres, radii = (np.concatenate(parts) for parts in zip(*own, strict=True))
+        apart = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centres.T + (centres**2).sum(axis=1)
+        return (apart < (radii + SKIN) ** 2).any(axis=1)

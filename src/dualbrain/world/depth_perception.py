@@ -23,7 +23,7 @@ from dualbrain.records import Bowl, Cylinder, Pose, Scene, SceneObject
 from dualbrain.world.depth_camera import DepthCamera
 from dualbrain.world.perception import TABLE
 from dualbrain.world.plant import Plant
-from dualbrain.world.primitives import Primitive, primitives
+from dualbrain.world.primitives import FLOOR, Primitive, primitives
 from dualbrain.world.scene_spec import SceneSpec
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class DepthPerception:
 
     def _take_in(self, now: float) -> None:
         """One picture: new things are named, known ones that are seen whole and near their place are renewed."""
-        points, colours = self._camera.points()
+        points, colours = self._camera.points(above=FLOOR)
         keep = np.ones(len(points), bool)
         for thing in self._map:
             keep &= distance(*solid(thing.shape, thing.pose), points) > SEEN_ON_MAP

@@ -66,6 +66,9 @@ class Perception:
         self._names: tuple[str, ...] = ()
         self._version = 0
 
+    def close(self) -> None:
+        """Nothing is held open."""
+
     def look(self, plant: Plant) -> Scene:
         """The scene as perceived now; each object's `stamp` says when it was really seen.
 

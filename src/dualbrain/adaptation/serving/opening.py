@@ -16,7 +16,7 @@ from dualbrain.adaptation.serving.shadow import Shadowed
 from dualbrain.adaptation.serving.speaking import runtime_of
 from dualbrain.errors import MissingPart, UnknownName
 from dualbrain.planner import registry as plain
-from dualbrain.planner.asking import FULL, SHORT, Asking
+from dualbrain.planner.asking import FULL, SHORT, Asking, unbound
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.protocol import Planner
 from dualbrain.weights import locate
@@ -61,9 +61,25 @@ def open_planner(
         raise UnknownName("planner", name, known, owner="this installation") from error
 
 
+def unbinds(name: str) -> bool:
+    """Whether `open_unbound` can open `name`: models that run here in llama.cpp, with an adapter or without."""
+    return is_adapter(name) or name in plain.planner_names()
+
+
+def open_unbound(name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "") -> Planner:
+    """The planner called `name` with nothing that binds its answers: what it says then is what it knows.
+
+    For measuring; a gate stands before the robot whatever binds a planner. `unbinds` tells for which names.
+    """
+    if is_adapter(name):
+        return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, asking=unbound(SHORT))
+    return LlamaPlanner(name, locate(name, cache), asking=unbound(FULL))
+
+
 def open_adapter(
-    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", config: LlamaConfig | None = None
-) -> AdaptedPlanner:
+    name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", config: LlamaConfig | None = None,
+    asking: Asking = SHORT,
+) -> AdaptedPlanner:  # fmt: skip
     """The adapter called `name` as a planner; its canary has been asked when this returns."""
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     card = stack.top
@@ -72,7 +88,7 @@ def open_adapter(
         require_fit(card, robot, registry)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
     watch = watch_of(stack, cache, adapters, chosen)
-    return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack)), card, watch)
+    return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack), asking=asking), card, watch)
 
 
 def _in_torch(
