@@ -12,7 +12,7 @@ from dualbrain.embodiment.robot import Command
 from dualbrain.records import Box, Pose
 from dualbrain.runtime.rules import scene_rules
 from dualbrain.safety.obstacles import Obstacle
-from dualbrain.skills.chassis import wrapped
+from dualbrain.skills.chassis import PERSON_PATIENCE, wrapped
 from dualbrain.skills.floor_path import clearance, floor_path
 from dualbrain.skills.thought import at_once
 from dualbrain.world.scene_spec import Thing
@@ -42,6 +42,24 @@ def test_who_starts_to_walk_while_the_base_is_in_the_way_is_not_stood_in_the_way
     outcome = hall.run(drive_to("shelf", speed))
     assert outcome.kind == "succeeded", outcome.reason
     assert hall.monitor.violations() == ()
+
+
+def test_somebody_who_stays_in_the_way_is_not_waited_for_for_ever():
+    """Inching up to them is no progress: the skill ends when its patience does, and says why."""
+    hall = Hall("aisles", 0)
+    outcome = hall.run(drive_to("shelf", 0.4))
+    assert outcome.kind == "failed"
+    assert "a person stayed in the way for 30 s" in outcome.reason
+    assert PERSON_PATIENCE < outcome.duration < PERSON_PATIENCE + 10.0
+    assert hall.monitor.violations() == ()
+
+
+def test_the_other_aisle_is_free_and_somebody_who_leaves_is_waited_for():
+    for seed, actions in ((0, [drive_to("aisle_left", 0.4), drive_to("shelf", 0.4)]), (2, [drive_to("shelf", 0.4)])):
+        hall = Hall("aisles", seed)
+        outcome = hall.run(*actions)
+        assert outcome.kind == "succeeded", outcome.reason
+        assert hall.monitor.violations() == ()
 
 
 @pytest.mark.parametrize("heading", [1.5, -3.0])

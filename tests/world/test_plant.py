@@ -1,13 +1,16 @@
 """The plant: the robot protocol, tracking, a real grip, brakes, and looks that change no physics."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from dualbrain.embodiment.robot import Command, Robot
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.records import Cylinder
 from dualbrain.world.drive import KINDS
 from dualbrain.world.model_provider import robot_model
 from dualbrain.world.plant import Plant
+from dualbrain.world.scene_spec import Thing
 from dualbrain.world.scenes import make_scene
 from tests.world.hand import BODY, HOME, pick, plant, rest, servo, top_down, yaw_of
 
@@ -148,3 +151,14 @@ def test_a_user_file_without_the_parts_is_refused(tmp_path):
         robot_model("panda", path=tmp_path / "broken.xml")
     with pytest.raises(UnknownName, match="panda"):
         robot_model("pandas")
+
+
+@pytest.mark.parametrize(("mass", "friction", "force", "held"), [(0.28, 0.12, 10.0, False), (0.28, 0.12, 20.0, True),
+                                                                 (0.28, 0.8, 10.0, True)])  # fmt: skip
+def test_a_wet_full_glass_slips_out_of_a_grip_that_holds_a_dry_one(mass, friction, force, held):
+    """2 μ F = 2.4 N at 10 N is less than its weight of 2.7 N; dry, the pads decide (μ = 1.5)."""
+    glass = Thing("clear_glass", "object", Cylinder(0.024, 0.045), (0.5, 0.0, 0.045), mass, "clear", "glass",
+                  friction=friction)  # fmt: skip
+    p = Plant(msgspec.structs.replace(make_scene("bare", 0), things=(glass,)), BODY)
+    pick(p, "clear_glass", force=force)
+    assert (p.truth("clear_glass").position[2] > 0.15) is held

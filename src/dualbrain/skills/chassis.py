@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from itertools import pairwise
-from math import atan2, cos, pi, sqrt
+from math import atan2, cos, inf, pi, sqrt
 
 import msgspec
 import numpy as np
@@ -37,6 +37,8 @@ PATIENCE = 6.0
 """No progress for this long [s] ends a drive; people are waited for apart."""
 PERSON_PATIENCE = 30.0
 """How long [s] a skill waits for a person before it says so and fails."""
+ELSEWHERE = 0.5
+"""Having moved this far [m] since it began to wait, the base waits anew; less is only inching up to somebody."""
 BERTH = 0.4
 """Going on must leave this much between the footprint and whoever passes [m], or the base lets them pass."""
 YIELD_SPEED = 0.5
@@ -106,6 +108,7 @@ class Chassis:
             return Ending(Status.FAILED, "no way leads there")
         progress, looked = self._progress(path, speed), self.senses.now
         newer: Aside[list[Array] | None] | None = None
+        stood, since = here, -inf
         while True:
             here, heading = self.pose
             away = float(np.linalg.norm(goal - here))
@@ -113,7 +116,9 @@ class Chassis:
                 return (yield from self.come_to_rest("drive"))
             pace = self._pace(path, here, speed)
             if pace == 0.0:
-                if why := (yield from self._wait(path, speed)):
+                if since == -inf or float(np.linalg.norm(here - stood)) > ELSEWHERE:
+                    stood, since = here, self.senses.now
+                if why := (yield from self._wait(path, speed, since)):
                     return why
                 progress = self._progress(path, speed)
             if newer is None and self.senses.now - looked > AGAIN:
@@ -198,11 +203,10 @@ class Chassis:
         haste = max(speed, YIELD_SPEED)
         return 0.0 if standing > berth or standing >= going(haste) else haste
 
-    def _wait(self, path: Sequence[Array], speed: float) -> Part:
-        """Stand until going on is the better answer; the filter may still back away."""
-        start = self.senses.now
+    def _wait(self, path: Sequence[Array], speed: float, since: float) -> Part:
+        """Stand until going on is the better answer, as was done `since` [s]; the filter may still back away."""
         while self._pace(path, self.pose[0], speed) == 0.0:
-            if self.senses.now - start > PERSON_PATIENCE:
+            if self.senses.now - since > PERSON_PATIENCE:
                 return Ending(Status.FAILED, f"drive: a person stayed in the way for {PERSON_PATIENCE:.0f} s")
             yield self.rest("wait")
         return None

@@ -1,7 +1,7 @@
 """Level II of navigation: a long rack leaves two aisles; parcels make one narrow, somebody may stand in the other.
 
-Parcels are not on the map, so φ does not know them: driving between them costs intervention, which a contract avoids by
-taking the other aisle. Somebody who stays in an aisle lets nobody pass, for a while or for longer than a skill waits.
+Driving between parcels costs intervention, which a contract avoids by taking the other aisle. Somebody who stays in an
+aisle lets nobody pass: for a while, so that waiting is the gentler way, or for longer than a skill waits.
 What there is goes round with the seed; the aisles have names, so that a contract can choose: drive to the aisle first,
 then on.
 """
@@ -33,7 +33,7 @@ def hazards(rng: np.random.Generator, seed: int, goal_y: float) -> tuple[list[Th
     narrow = -shorter if seed % 3 == 0 else shorter
     parcels = _parcels(rng, narrow)
     middle = (float(rng.uniform(1.6, 2.4)), -narrow * MIDDLE)
-    until = ((38.0, 60.0), (90.0, 120.0), (10.0, 18.0))[seed % 3]
+    until = ((100.0, 130.0), (90.0, 120.0), (10.0, 18.0))[seed % 3]
     start = (-0.3, -1.95 * narrow) if seed % 3 == 1 else middle
     return parcels, _person(start, (-0.7, -1.9 * narrow), float(rng.uniform(0.35, 0.50)), float(rng.uniform(*until)))
 

@@ -3,9 +3,9 @@
 - `edge_ii`: the cube hangs over the table's left or right edge. Fingers fit on one axis only, because hand-high things
   stand beside it along the edge, or one stands at its inner face; a screen bars one of the two ways to the bowl, or a
   board hangs over the cube, so that only a hand that comes in low gets there.
-- `fragile_ii`: a thin glass is the errand, upright, to a coaster. It breaks above a force that differs from scene to
-  scene, so that a grip which holds one glass crushes another; it stands in a row as the cube of `tall_ii` does, and a
-  screen bars one of the two ways.
+- `fragile_ii`: a glass is the errand, upright, to a coaster. Thin and ordinary ones break above a force that differs
+  from scene to scene; a thick one is full and wet, and slips out of a grip that is gentle enough for those. It stands
+  in a row as the cube of `tall_ii` does, and a screen bars one of the two ways.
 
 Which hazard a scene has goes round with the seed; the rest is drawn. Gaps are 4-8 cm, as in `hard_scenes`.
 """
@@ -26,8 +26,10 @@ COASTER = Place("coaster", (0.50, 0.26, 0.0))
 """Where the glass goes: the only place of its scenes."""
 FRONT = PLACES[2:]
 """What is left of the table's places where things stand at its edges."""
-LIMITS = ((13.0, 16.0), (17.0, 20.0), (26.0, 32.0))
+LIMITS = ((13.0, 16.0), (17.0, 20.0), (50.0, 60.0))
 """What breaks the glass [N]: thin, ordinary and thick ones, in turn."""
+DRY, WET = (0.08, 0.8), (0.28, 0.12)
+"""Mass [kg] and friction of an empty glass, and of a full one that is wet outside: 10 N a finger hold 2.4 N of it."""
 
 
 def _edge(draft: Draft) -> None:
@@ -64,8 +66,9 @@ def _fragile(draft: Draft) -> None:
     rng = draft.rng
     draft.places = (COASTER,)
     at = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
-    glass = Thing("clear_glass", "object", GLASS, at, 0.08, "clear", "glass", friction=0.8)
     limit = round(float(rng.uniform(*LIMITS[draft.seed % 3])), 1)
+    mass, friction = WET if draft.seed % 3 == 2 else DRY
+    glass = Thing("clear_glass", "object", GLASS, at, mass, "clear", "glass", friction=friction)
     draft.things.append(msgspec.structs.replace(glass, fragile_limit=limit))
     flanked = draft.seed % 2
     for face in (flanked, flanked + 2):

@@ -28,6 +28,10 @@ FLOOR = -0.74
 BOWL_STAVES = 20
 WALL = (0.05, 0.5)
 """Half the thickness and the height of a wall [m]."""
+SLIPPERY = 0.4
+"""Below this coefficient a thing slips on rubber pads, too; else pads decide what friction they have."""
+WET = {"priority": 2, "solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
+"""Its own friction counts, with the pads' own softness."""
 LOAD, LOAD_DENSITY = "load", 3000.0
 """Name and density [kg/m³] of a cube that is fixed at the tool."""
 
@@ -128,7 +132,7 @@ def add_thing(root: mujoco.MjSpec, thing: Thing) -> None:
     body.add_geom(
         name=thing.name, type=kind, size=size, mass=thing.mass, rgba=colour_of(thing.colour), group=1,
         friction=[thing.friction, 0.02, 0.001], condim=4 if isinstance(thing.shape, Box) else 6,
-        material="glass" if thing.colour == "clear" else "satin",
+        material="glass" if thing.colour == "clear" else "satin", **(WET if thing.friction < SLIPPERY else {}),
     )  # fmt: skip
 
 

@@ -23,8 +23,9 @@ SHUT = 1.0
 class Thing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One thing: a free body of `mass` [kg], or part of the room when `fixed`.
 
-    `position` [m] is the shape's centre (of a bowl: its bottom). `friction` is the sliding coefficient. `fragile_limit`
-    [N] is the normal contact force above which it breaks.
+    `position` [m] is the shape's centre (of a bowl: its bottom). `friction` is the sliding coefficient; rubber pads
+    hold everything alike unless it is slippery (`scene_builder.SLIPPERY`). `fragile_limit` [N] is the normal contact
+    force above which it breaks.
     """
 
     name: str
