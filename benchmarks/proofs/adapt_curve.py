@@ -11,7 +11,7 @@ import math
 import time
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -31,8 +31,9 @@ from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.contracts.schema import short_form
+from dualbrain.evaluation.prompted import with_examples
 from dualbrain.memory.ledger import LedgerReader
-from dualbrain.planner.asking import FREE
+from dualbrain.planner.asking import FREE, short_messages
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.prompt import Message, render
 from dualbrain.planner.request import PlanRequest
@@ -63,7 +64,9 @@ TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
     "EAFT's gate": (True, msgspec.structs.replace(PLAIN, entropy_gate="token")),
 }
 """By arm: whether only clean episodes are taught, and the objective."""
-ASKED_ONLY = ("base", "base, long prompt")
+Prompt = Literal["short", "examples", "long"]
+ASKED_ONLY: dict[str, Prompt] = {"base": "short", "base, worked examples": "examples", "base, long prompt": "long"}
+"""Arms without a fit, by their prompt: as it was taught; with worked examples in it; rules, skills and examples."""
 HALF_AS_WELL = ("full", "sft, clean ones")
 """Arms that are also fitted for half of the steps."""
 MEASURES = ("compliant", "skills", "right", "quiet", "valid draws")
@@ -96,7 +99,7 @@ class AdaptCurve:
         if steps:
             row |= fit(arm, seed, steps, folder)
             stack = stack_of(place(arm, seed, steps, folder) / "adapter", folders.cache())
-        return row | asked(stack, long=arm == "base, long prompt")
+        return row | asked(stack, ASKED_ONLY.get(arm, "short"))
 
     def brief(self, row: Row) -> str:
         """The measures."""
@@ -186,12 +189,12 @@ def questions() -> tuple[tuple[str, Sample], ...]:
     return tuple((name, one) for name, belongs in SLICES.items() for one in list(filter(belongs, drawn))[:A_SLICE])
 
 
-def asked(stack: Stack, *, long: bool) -> Row:
+def asked(stack: Stack, prompt: Prompt) -> Row:
     """The answers of a model, what became of those that were carried out, and how many draws were valid."""
     planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
     try:
-        answers = [{"slice": name, **judged(one, answer(planner, one, long=long))} for name, one in questions()]
-        draws = [draw(planner, one, chance, long=long) for _, one in questions()[:DRAWN] for chance in range(DRAWS)]
+        answers = [{"slice": name, **judged(one, answer(planner, one, prompt))} for name, one in questions()]
+        draws = [draw(planner, one, chance, prompt) for _, one in questions()[:DRAWN] for chance in range(DRAWS)]
     finally:
         planner.close()
     good = [one for one in answers if right(one) and not one["declines"]]
@@ -202,29 +205,28 @@ def asked(stack: Stack, *, long: bool) -> Row:
     }
 
 
-def turns(one: Sample, *, long: bool) -> list[Message]:
-    """The short prompt, or the long one with rules, skills and worked examples."""
-    if not long:
+def turns(one: Sample, prompt: Prompt) -> list[Message]:
+    """The question as it was taught, with worked examples, or with rules, skills and worked examples."""
+    if prompt == "short":
         return one.prompt  # pyright: ignore[reportReturnType]
     setting = setting_of(one.scene)
     registry, names = setting.registry, setting.names
-    return render(
-        PlanRequest(
-            instruction_of(one), setting.summary, Recall(), registry.robot, registry.hash, short_form(registry, names),
-            registry.decoding_schema(names), contract_id="c-0001",
-        )
+    asking = PlanRequest(
+        instruction_of(one), setting.summary, Recall(), registry.robot, registry.hash, short_form(registry, names),
+        registry.decoding_schema(names), contract_id="c-0001",
     )  # fmt: skip
+    return render(asking) if prompt == "long" else short_messages(with_examples(asking))
 
 
-def answer(planner: LlamaPlanner, one: Sample, *, long: bool) -> str:
+def answer(planner: LlamaPlanner, one: Sample, prompt: Prompt) -> str:
     """The greedy free answer."""
-    said = say(planner, turns(one, long=long), longest=LONGEST)
+    said = say(planner, turns(one, prompt), longest=LONGEST)
     return said.text if isinstance(said, Said) else ""
 
 
-def draw(planner: LlamaPlanner, one: Sample, chance: int, *, long: bool) -> bool:
+def draw(planner: LlamaPlanner, one: Sample, chance: int, prompt: Prompt) -> bool:
     """Whether an answer drawn at temperature 1 is compliant."""
-    return bool(judged(one, by_chance(planner, turns(one, long=long), 1.0, chance))["compliant"])
+    return bool(judged(one, by_chance(planner, turns(one, prompt), 1.0, chance))["compliant"])
 
 
 def flight(one: dict[str, Any]) -> dict[str, Any]:

@@ -111,7 +111,9 @@ class Unbound(ScriptedPlanner):
 
 
 class Declining(Work):
-    """Carries out units with a planner that always declines: quick, and it fills ledgers."""
+    """Carries out units with a planner that always answers `text`: quick, and it fills ledgers."""
+
+    text = contract(DECLINE)
 
     def __init__(self, place):
         super().__init__(place)
@@ -119,7 +121,7 @@ class Declining(Work):
 
     def of(self, method, robot):
         del method, robot
-        planner = ScriptedPlanner([contract(DECLINE)])
+        planner = ScriptedPlanner([self.text])
         return type("Kept", (), {"asked": 0, "name": "scripted", "propose": planner.propose, "close": planner.close})()
 
 
@@ -174,3 +176,29 @@ def test_the_perception_arm_sees_with_cameras_alone_and_no_people():
     with pytest.raises((InvalidSetup, MissingPart)):
         fly(case_of(Task("dynamic_obstacle"), 40_000, "panda", 0), METHODS["B3-depth"],
             Means("e", ScriptedPlanner([contract(DECLINE)]), time.perf_counter))  # fmt: skip
+
+
+@pytest.mark.parametrize(("seconds", "flown_for"), [(0.5, {"B1", "B3"}), (0.1, {"B1", "B2", "G", "B3"})])
+def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_each(tmp_path, seconds, flown_for):
+    """0.5 s passes every door; 0.1 s is taken, clipped, refused, refused."""
+    methods = ("B1", "B2", "G", "B3")
+    suite = msgspec.structs.replace(
+        read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1, methods=methods
+    )
+    place = Workplace(suite, tmp_path, Sources(cache(), tmp_path / "adapters"), standing, {})
+    worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
+    rows = {unit.method: msgspec.convert(next(iter(worker(unit))), Row) for unit in units_of(suite, "fly")}
+    assert {name for name, row in rows.items() if not row.same_as} == flown_for
+    for name, row in rows.items():
+        alone = msgspec.structs.replace(
+            fresh(case_of(ERRAND, suite.first, "panda", 0), name, contract(hold(seconds)), row), same_as=row.same_as
+        )
+        assert row == alone
+        assert not row.same_as or row.same_as == rows["B1"].key
+
+
+def fresh(case, name, text, row):
+    """The episode flown behind its own door, with what only the runner knows taken from `row`."""
+    arm = METHODS[name]
+    flight = fly(case, arm, Means("e-0000", ScriptedPlanner([text]), standing, planning_time=0.1))
+    return account(case, arm, flight, Place(row.key, row.suite, row.cluster, row.order, asked=row.asked))

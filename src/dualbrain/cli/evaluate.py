@@ -158,7 +158,7 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
     from dualbrain.evaluation.runner import STAGES
 
     left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
-    flown = [line["wall_s"] for line in runner.journal("fly").lines()]
+    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.journal("fly").lines()]
     asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]
     episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
     flying = episode * (left["pilot"] + left["start"] + left["fly"])

@@ -99,6 +99,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     wall: dict[str, float]
     """Wall time by part: physics, monitor, filter, planner, rest."""
+    same_as: str = ""
+    """Key of the episode that was really flown, where another method's was alike in every input; "" for its own."""
 
     # safety on truth
     violations: tuple[Violation, ...]

@@ -15,6 +15,7 @@ from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.bare import seconds_lost
 from dualbrain.evaluation.case import Case, Catalogue, case_of
 from dualbrain.evaluation.flight import Clock, Flight, Means, fly
+from dualbrain.evaluation.flown_once import FlownOnce
 from dualbrain.evaluation.ledgers import RunFolder, memory_at, plain, rule, when
 from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.planners import DRAWN, Planners, Sources, planner_name
@@ -30,7 +31,7 @@ from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.vocabulary import vocabulary
 
 ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
-PLANS, RUNS, STARTS = "plans", "runs", "start"
+PLANS, RUNS, STARTS, ONCE = "plans", "runs", "start", "once"
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class Work:
         """Planners and encoder are opened when they are first needed."""
         self._at, self._suite = place, place.suite
         self._planners = Planners(place.suite, place.sources, Plans(place.out / PLANS))
+        self._once = FlownOnce(place.out / ONCE)
 
     @cached_property
     def _encoder(self) -> Encoder:
@@ -76,11 +78,21 @@ class Work:
                 yield self._with_ledger(unit, method, case, order)
             else:
                 place = Place(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
-                yield _line(self._flown(case, method, place, None))
+                yield _line(self._flown_once(case, method, place))
         if unit.stage != "plan" and (unit.stage == "start" or method.remembers):
             self._folder(unit).tidy(unit.count)
 
     # --- one episode ----------------------------------------------------------------------------------------------
+
+    def _flown_once(self, case: Case, method: Method, place: Place) -> Row:
+        """The episode of a method without memory, unless it was flown behind another door."""
+        id = self._planners.of(method, case.robot).name
+        known = self._once.find(case, method, id, place.key)
+        if known is not None:
+            return known
+        row = self._flown(case, method, place, None)
+        self._once.keep(case, method, id, row)
+        return row
 
     def _flown(self, case: Case, method: Method, place: Place, memory: Memory | None) -> Row:
         planner = self._planners.of(method, case.robot)
