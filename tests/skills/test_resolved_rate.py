@@ -10,7 +10,7 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.linalg import rotation_error
 from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.resolved_rate import ResolvedRate, way_round
+from dualbrain.skills.resolved_rate import ResolvedRate, gap_to, way_round
 
 PERIOD = 1e-3
 AXIS = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda a: np.linalg.norm(a) > 0.1)
@@ -41,7 +41,7 @@ def test_a_hand_that_must_turn_past_its_joint_limit_the_short_way_turns_the_long
         now = k * PERIOD
         tool = safety.tool(q)
         state = RobotState(now, k, q, np.zeros(body.n), 0.04, (0.0, 0.0), drive_enabled=True)
-        q = q + PERIOD * phi.toward(state, tool, there.position, there.rotation, 0.2, goal, now)
+        q = q + PERIOD * phi.toward(state, tool, gap_to(tool, there.position, there.rotation), 0.2, goal, now)
     tool = safety.tool(q)
     assert np.linalg.norm(rotation_error(tool.rotation, there.rotation)) < 0.01
     assert np.linalg.norm(tool.position - there.position) < 0.002

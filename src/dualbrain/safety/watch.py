@@ -98,8 +98,8 @@ class Watch:
     def _plausible(self, state: RobotState) -> int:
         """Finite, in range, no jump; then it is compared with velocities and commands."""
         q, v = state.q.tolist(), state.v.tolist()
-        ranged = zip(q[self._bolted], self._ranges, strict=True)
-        if not all(map(isfinite, (*q, *v, state.opening, state.stamp))) or not all(a <= x <= b for x, (a, b) in ranged):
+        finite = all(map(isfinite, (*q, *v, state.opening, state.stamp)))
+        if not finite or not inside(q[self._bolted], self._ranges):
             return C.STATE_IMPLAUSIBLE
         last, self._good = self._good, state
         if last is None:
@@ -111,9 +111,9 @@ class Watch:
             self.start()
             return 0
         moved = (driven_by(last.q, state.q) if len(q) > self._n else state.q - last.q).tolist()
-        if any(abs(x) > fast * dt + self.bounds.jump for x, fast in zip(moved, self._swift, strict=True)):
+        if not slower(moved, [fast * dt + self.bounds.jump for fast in self._swift]):
             return C.STATE_IMPLAUSIBLE
-        flags = C.OVERSPEED if any(abs(x) > fast for x, fast in zip(v, self._swift, strict=True)) else 0
+        flags = 0 if slower(v, self._swift) else C.OVERSPEED
         return flags | self._compare(moved, (0.5 * (state.v + last.v)).tolist(), dt, driven=state.drive_enabled)
 
     def _compare(self, moved: list[float], v: list[float], dt: float, *, driven: bool) -> int:
@@ -134,7 +134,7 @@ class Watch:
     def commanded(self, u: Array) -> int:
         """Bits for the control (n,) [rad/s] that is about to be written; independent of the filter's own checker."""
         wanted = u.tolist()
-        if not all(abs(x) <= most for x, most in zip(wanted, self._most, strict=True)):  # nor is a NaN
+        if not slower(wanted, self._most):  # nor is a NaN
             return C.CONTROL_BAD
         self._u = wanted
         return 0
@@ -143,6 +143,22 @@ class Watch:
     def gaps(self) -> tuple[float, float]:
         """The largest gap [rad] of each kind now: between sources, and to the commands."""
         return largest(self._source), largest(self._command)
+
+
+def inside(values: list[float], ranges: list[tuple[float, float]]) -> bool:
+    """Whether every value lies in its range."""
+    for value, (least, most) in zip(values, ranges, strict=True):  # noqa: SIM110  (every tick; half the time)
+        if not least <= value <= most:
+            return False
+    return True
+
+
+def slower(values: list[float], limits: list[float]) -> bool:
+    """Whether no value is larger in size than its limit; a NaN is."""
+    for value, limit in zip(values, limits, strict=True):  # noqa: SIM110
+        if not abs(value) <= limit:
+            return False
+    return True
 
 
 def largest(values: list[float]) -> float:

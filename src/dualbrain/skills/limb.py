@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from dualbrain.contracts.skill_spec import SkillSpec
 from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
-from dualbrain.linalg import rotation_error
 from dualbrain.records import SceneObject
 from dualbrain.skills.foresight import LEAVING, Foresight, Goal, View
 from dualbrain.skills.geometry import bottom, top
 from dualbrain.skills.inverse_kinematics import BRIEF, InverseKinematics
 from dualbrain.skills.person import threat
 from dualbrain.skills.progress import STANDSTILL, Progress
-from dualbrain.skills.resolved_rate import ResolvedRate
+from dualbrain.skills.resolved_rate import ResolvedRate, gap_to
 from dualbrain.skills.skill import Ending, Holding, Motion, Nominal, Senses, Status, Touch
 from dualbrain.skills.thought import Thought
 
@@ -117,19 +116,15 @@ class Limb:
         progress = Progress(self.senses.patience, limit=4.0 + 3.0 * self._distance(goal) / speed, patience=patience)
         while True:
             tool, state, now = self.senses.tool, self.senses.state, self.senses.now
-            distance = self._distance(goal)
-            error = rotation_error(tool.rotation, goal.rotation)
-            turn = sqrt(float(error @ error))
+            gap = gap_to(tool, goal.position, goal.rotation)
+            distance, turn = gap.distance, gap.angle
             if distance < near and turn < turned:
                 return None
             if (height := self.threatened(tool.position)) is not None:
                 return (yield from self.step_aside(phase, height))
             if why := progress.stuck(self.senses.patience, distance + 0.1 * turn):
                 return Ending(Status.TAKEN_OVER, f"{phase}: {why}, {distance * 100:.1f} cm from the goal")
-            u = self._phi.toward(
-                state, tool, goal.position, goal.rotation, speed, goal.posture, now, stop=stop
-            )  # fmt: skip
-            yield self._nominal(u, phase)
+            yield self._nominal(self._phi.toward(state, tool, gap, speed, goal.posture, now, stop=stop), phase)
 
     def joints(self, goal: Array, phase: str, share: float, speed: float) -> Part:
         """Move in joint space to `goal` (n,) [rad] at `share` of the velocity limits, the tool up to `speed`."""
@@ -188,7 +183,7 @@ class Limb:
             wanted = min(height + self.below_tool, CEILING)
             if tool.position[2] < wanted - 0.005:
                 up = np.array([tool.position[0], tool.position[1], wanted])
-                u = self._phi.toward(state, tool, up, rotation, YIELD_SPEED, posture, now)
+                u = self._phi.toward(state, tool, gap_to(tool, up, rotation), YIELD_SPEED, posture, now)
             else:
                 u = self._phi.rest(state, now)
             yield self._nominal(u, "yield", permits_of=phase)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,28 @@ class Gains:
     headroom: float = 0.95
 
 
+class Gap(NamedTuple):
+    """What a tool lacks of a pose: `away` (3,) [m], and the rotation vector `turn` (3,) [rad], in the world."""
+
+    away: Array
+    turn: Array
+
+    @property
+    def distance(self) -> float:
+        """Length of `away` [m]."""
+        return sqrt(float(self.away @ self.away))
+
+    @property
+    def angle(self) -> float:
+        """Angle of `turn` [rad]."""
+        return sqrt(float(self.turn @ self.turn))
+
+
+def gap_to(tool: ToolState, position: Array, rotation: Array) -> Gap:
+    """The gap of `tool` to the pose (position (3,) [m], rotation (3, 3))."""
+    return Gap(position - tool.position, rotation_error(tool.rotation, rotation))
+
+
 class ResolvedRate:
     """φ's memory between ticks: the twist it is at, and the nominal control it last gave."""
 
@@ -60,14 +83,14 @@ class ResolvedRate:
         self._u_nom = self._before = np.zeros(body.n)
 
     def toward(
-        self, state: RobotState, tool: ToolState, position: Array, rotation: Array, speed: float, posture: Array,
-        now: float, *, stop: bool = True,
+        self, state: RobotState, tool: ToolState, gap: Gap, speed: float, posture: Array, now: float, *,
+        stop: bool = True,
     ) -> Array:  # fmt: skip
-        """u_nom (n,) [rad/s] that carries the tool toward a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
-        turn = rotation_error(tool.rotation, rotation)
+        """u_nom (n,) [rad/s] that closes `gap` to a pose at up to `speed` [m/s]; `stop` brakes at the goal."""
+        turn = gap.turn
         if float(turn @ turn) > AMBIGUOUS**2:
             turn = way_round(turn, tool.jacobian[3:] @ (posture - state.q))
-        self._lead_twist(position - tool.position, turn, speed, stop=stop)
+        self._lead_twist(gap.away, turn, speed, stop=stop)
         return self._resolve(state, tool, posture, now)
 
     def toward_joints(
@@ -115,7 +138,7 @@ class ResolvedRate:
         drift = self._pull * (posture - state.q)
         drift *= min(1.0, 0.5 / (sqrt(float(drift @ drift)) + 1e-9))
         wish = drift + J.T @ np.linalg.solve(J @ J.T + self._ridge, self._twist - J @ drift)
-        excess = float(np.max(np.abs(wish) / self._u_max))
+        excess = float((np.abs(wish) / self._u_max).max())
         return self._project(state, wish / excess if excess > 1.0 else wish, now)
 
     def _project(self, state: RobotState, wish: Array, now: float) -> Array:

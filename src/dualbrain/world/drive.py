@@ -88,6 +88,7 @@ class ComputedTorque:
         self._per_period = _kappa(self._share) / period
         self._limit = model.actuator_forcerange[motors, 1].copy()
         self._bound = LOAD_SHARE * self._limit
+        self._least = -self._bound
         self._saturated = np.zeros(len(self._v), bool)
         self._all, self._force = np.zeros(model.nv), np.zeros(model.nv)
         self._expected = np.zeros(len(self._v))
@@ -98,9 +99,10 @@ class ComputedTorque:
     def act(self, u: Array) -> None:
         """Torques of this period; the motors clip them."""
         v, load = self._v, self.load
-        np.copyto(self._expected, v, where=self._saturated)
+        if np.count_nonzero(self._saturated):
+            np.copyto(self._expected, v, where=self._saturated)
         load += self._inertial(self._per_period * (self._expected - v))
-        np.clip(load, -self._bound, self._bound, out=load)
+        np.minimum(np.maximum(load, self._least, out=load), self._bound, out=load)
         self._ctrl[:] = self._inertial(self.gain * (u - v)) + (self._bias - self._passive + load)
         if self._ride is not None:
             self._ctrl[:] += self._ride

@@ -161,7 +161,7 @@ class Monitor:
         state[n:] = self._plant.speed() if self._plant.body.mobile else self._v
         np.abs(state, out=state)
         over = state > self._bounds
-        if not over.any():
+        if not np.count_nonzero(over):
             return
         for index in over.nonzero()[0].tolist():
             if index < n:
