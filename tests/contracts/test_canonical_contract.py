@@ -6,7 +6,7 @@ import msgspec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.canonical_contract import canonical_contract
+from dualbrain.contracts.canonical_contract import canonical_contract, canonical_order
 from dualbrain.contracts.contract import Contract
 from tests.contracts.arm import NAMES, REGISTRY, contracts
 
@@ -30,6 +30,44 @@ def test_the_text_says_the_same_in_whatever_order_it_came(document, rng):
     assert msgspec.json.decode(text, type=Contract) == contract
     other = msgspec.convert(shuffled(document, rng), Contract)
     assert canonical_contract(other, REGISTRY) == text
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(contracts())
+def test_what_was_kept_with_sorted_keys_is_put_in_the_order_of_the_text(document):
+    text = canonical_contract(msgspec.convert(document, Contract), REGISTRY)
+    kept = json.loads(json.dumps(document, sort_keys=True))
+    assert list(written(canonical_order(kept, REGISTRY))) == list(written(json.loads(text)))
+
+
+def written(value, path=()):
+    """Every key of a JSON value with its path, in the order in which it would be written."""
+    if isinstance(value, dict):
+        for name, item in value.items():
+            yield (*path, name)
+            yield from written(item, (*path, name))
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from written(item, (*path, number))
+
+
+@settings(max_examples=200)
+@given(
+    st.recursive(
+        st.none() | st.text() | st.integers(),
+        lambda part: (
+            st.lists(part)
+            | st.dictionaries(
+                st.sampled_from(["skill", "params", "action_sequence", "id", "x"]),
+                part | st.sampled_from(["grasp", "place"]),
+            )
+        ),
+    )
+)
+def test_nothing_is_lost_or_made_up_whatever_was_kept(value):
+    for document in ({"action_sequence": value}, value):
+        if isinstance(document, dict):
+            assert canonical_order(document, REGISTRY) == document
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)

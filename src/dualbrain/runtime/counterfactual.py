@@ -16,7 +16,8 @@ from dualbrain.memory.utility import Change, judge
 from dualbrain.planner.prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Episode, Exemplar, Recall, Use
+from dualbrain.records import Episode, Exemplar, Use
+from dualbrain.runtime.question import as_written
 from dualbrain.runtime.vocabulary import scene_names
 
 
@@ -53,7 +54,7 @@ class Counterfactuals:
     def question(self, episode: Episode, left_out: Exemplar) -> PlanRequest:
         """The first question of `episode`, with one exemplar left out of its recall."""
         kept = tuple(one for one in episode.recall.exemplars if one.episode_id != left_out.episode_id)
-        recall: Recall = msgspec.structs.replace(episode.recall, exemplars=kept)
+        recall = as_written(msgspec.structs.replace(episode.recall, exemplars=kept), self._registry)
         names = scene_names(episode.scene)
         return PlanRequest(
             episode.instruction, episode.summary, recall, episode.robot, episode.registry,

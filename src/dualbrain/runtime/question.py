@@ -8,13 +8,14 @@ from typing import Protocol
 
 import msgspec
 
+from dualbrain.contracts.canonical_contract import canonical_order
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.schema import short_form
 from dualbrain.embodiment.body import Body
 from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture
 from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Passage, Recall, Scene, Setback
+from dualbrain.records import Exemplar, Passage, Recall, Scene, Setback
 from dualbrain.runtime.summary import summarise
 from dualbrain.runtime.vocabulary import scene_names
 from dualbrain.skills.vocabulary import registry_of
@@ -69,6 +70,23 @@ def question(instruction: str, here: Standpoint, recall: Recall, setback: Setbac
     """The first question for `instruction`; `setback` is what became of the contract before, if there was one."""
     registry, names = here.registry, scene_names(here.scene)
     return PlanRequest(
-        instruction, here.summary, recall, here.body.name, registry.hash, short_form(registry, names),
-        registry.decoding_schema(names), contract_id="c-0001", setback=setback,
+        instruction, here.summary, as_written(recall, registry), here.body.name, registry.hash,
+        short_form(registry, names), registry.decoding_schema(names), contract_id="c-0001", setback=setback,
+    )  # fmt: skip
+
+
+def as_written(recall: Recall, registry: Registry) -> Recall:
+    """`recall` with every contract in the order in which a planner writes one.
+
+    A ledger keeps keys sorted, for its hashes. A small model that is shown parameters in one order and was taught to
+    write them in another loses its place.
+    """
+
+    def ordered(exemplars: tuple[Exemplar, ...]) -> tuple[Exemplar, ...]:
+        return tuple(
+            msgspec.structs.replace(one, contract=canonical_order(one.contract, registry)) for one in exemplars
+        )
+
+    return msgspec.structs.replace(
+        recall, exemplars=ordered(recall.exemplars), warnings=ordered(recall.warnings)
     )  # fmt: skip
