@@ -31,7 +31,7 @@ from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.contracts.schema import short_form
-from dualbrain.evaluation.prompted import with_examples
+from dualbrain.evaluation.prompted import with_example
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.planner.asking import FREE, short_messages
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
@@ -64,9 +64,9 @@ TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
     "EAFT's gate": (True, msgspec.structs.replace(PLAIN, entropy_gate="token")),
 }
 """By arm: whether only clean episodes are taught, and the objective."""
-Prompt = Literal["short", "examples", "long"]
-ASKED_ONLY: dict[str, Prompt] = {"base": "short", "base, worked examples": "examples", "base, long prompt": "long"}
-"""Arms without a fit, by their prompt: as it was taught; with worked examples in it; rules, skills and examples."""
+Prompt = Literal["short", "example", "long"]
+ASKED_ONLY: dict[str, Prompt] = {"base": "short", "base, worked example": "example", "base, long prompt": "long"}
+"""Arms without a fit, by their prompt: as it was taught; with a worked example in it; rules, skills and examples."""
 HALF_AS_WELL = ("full", "sft, clean ones")
 """Arms that are also fitted for half of the steps."""
 MEASURES = ("compliant", "skills", "right", "quiet", "valid draws")
@@ -206,7 +206,7 @@ def asked(stack: Stack, prompt: Prompt) -> Row:
 
 
 def turns(one: Sample, prompt: Prompt) -> list[Message]:
-    """The question as it was taught, with worked examples, or with rules, skills and worked examples."""
+    """The question as it was taught, with a worked example, or with rules, skills and worked examples."""
     if prompt == "short":
         return one.prompt  # pyright: ignore[reportReturnType]
     setting = setting_of(one.scene)
@@ -215,7 +215,7 @@ def turns(one: Sample, prompt: Prompt) -> list[Message]:
         instruction_of(one), setting.summary, Recall(), registry.robot, registry.hash, short_form(registry, names),
         registry.decoding_schema(names), contract_id="c-0001",
     )  # fmt: skip
-    return render(asking) if prompt == "long" else short_messages(with_examples(asking))
+    return render(asking) if prompt == "long" else short_messages(with_example(asking))
 
 
 def answer(planner: LlamaPlanner, one: Sample, prompt: Prompt) -> str:

@@ -13,14 +13,14 @@ from dualbrain.evaluation.adversary import Adversary
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.planners import Planners, Sources
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
-from dualbrain.evaluation.prompted import PromptedPlanner, with_examples
+from dualbrain.evaluation.prompted import PromptedPlanner, with_example
 from dualbrain.evaluation.spoiled import SpoiledPlanner, spoil
 from dualbrain.evaluation.suite import read_suite
 from dualbrain.evaluation.template import TemplatePlanner, meant
 from dualbrain.planner.protocol import CRASHED
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.planner.short_prompt import MAX_SHOWN, render_short
+from dualbrain.planner.short_prompt import render_short
 from dualbrain.records import Exemplar, Recall
 from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
 from tests.evaluation.test_runner import SUITE
@@ -140,21 +140,22 @@ def test_the_best_prompt_shows_examples_that_the_gate_would_read(robot):
     planner = PromptedPlanner(inner)
     planner.propose(request(robot))
     shown = inner.asked[0].recall.exemplars
-    assert 2 <= len(shown) <= MAX_SHOWN
+    assert len(shown) == 1
     registry = vocabulary(robot)
     for one in shown:
         assert one.succeeded
+        assert one.contract["action_sequence"][0]["skill"] != "decline"
         for action in one.contract["action_sequence"]:
             spec = registry.skill(action["skill"])
             assert set(action["params"]) == {parameter.name for parameter in spec.parameters}
     text = render_short("", "", robot=robot, registry="", contract_id="", recalled=shown)[1]["content"]
-    assert text.count("<example>") == len(shown)
-    assert planner.name == "scripted, with worked examples"
+    assert text.count("<example>") == 1
+    assert planner.name == "scripted, with a worked example"
 
 
 def test_what_memory_recalled_is_not_replaced_by_examples():
     asked = request(recall=Recall((Exemplar("e", "x", "y", {"action_sequence": []}, True, 0.001, 0.9, 0.5, 0.8, 1),)))
-    assert with_examples(asked) == asked
+    assert with_example(asked) == asked
 
 
 def test_each_way_of_asking_has_answers_of_its_own(tmp_path):
@@ -162,8 +163,8 @@ def test_each_way_of_asking_has_answers_of_its_own(tmp_path):
     planners = Planners(suite, Sources(tmp_path, tmp_path), Plans(tmp_path))
     arms = [METHODS[name] for name in ("B3", "PE", "PE-shortened")]
     ways = [planners.of(arm, "panda").id for arm in arms] + [planners.unbound(arm, "panda").id for arm in arms]
-    assert ways[:3] == ["base-135m", "base-135m, with worked examples",
-                        "base-135m, with worked examples, prompt shortened"]  # fmt: skip
+    assert ways[:3] == ["base-135m", "base-135m, with a worked example",
+                        "base-135m, with a worked example, prompt shortened"]  # fmt: skip
     assert ways[3:] == [f"{way}, bound by nothing" for way in ways[:3]]
     assert planners.of(METHODS["M"], "panda") is planners.of(METHODS["B3"], "panda")
 

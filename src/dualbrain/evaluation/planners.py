@@ -62,7 +62,7 @@ class Planners:
     def of(self, method: Method, robot: str, *, bound: bool = True) -> KeepingPlanner:
         """The planner of `method` for `robot`, bound as it serves or by nothing; each way has answers of its own."""
         name = planner_name(self._suite, method)
-        words = [name, "with worked examples" * _prompted(method, name)]
+        words = [name, "with a worked example" * _prompted(method, name)]
         words += [f"prompt {method.spoiled}" * (method.spoiled != "no"), "bound by nothing" * (not bound)]
         key = (", ".join(filter(None, words)), robot)
         if key not in self._kept:

@@ -1,7 +1,8 @@
 """The best prompt that we can write for a planner whose own prompt holds no examples (paper 7.4, arm PE).
 
 A full prompt has worked examples in it. The short one of an adapted planner has none, but such a planner was taught to
-follow what memory shows it; so worked examples that suit the scene are shown as if memory had recalled them.
+follow what memory shows it first; so the worked example that suits the scene best is shown as if memory had recalled it.
+More of them do harm: with a refusal among the examples it refuses.
 """
 
 from __future__ import annotations
@@ -11,33 +12,36 @@ import msgspec
 from dualbrain.planner.prompt import worked_examples
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
-from dualbrain.planner.short_prompt import MAX_SHOWN
 from dualbrain.records import Proposal, Recall
 
 
+SHOWN = 1
+"""Examples."""
+
+
 class PromptedPlanner:
-    """Asks `planner` with worked examples where nothing was recalled; its name says so."""
+    """Asks `planner` with a worked example where nothing was recalled; its name says so."""
 
     def __init__(self, planner: Planner) -> None:
-        """Show examples before each question."""
+        """Show an example before each question."""
         self._planner = planner
 
     @property
     def name(self) -> str:
         """The planner's, with what it is shown."""
-        return f"{self._planner.name}, with worked examples"
+        return f"{self._planner.name}, with a worked example"
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The answer to the question with examples before it."""
-        return self._planner.propose(with_examples(request))
+        """The answer to the question with an example before it."""
+        return self._planner.propose(with_example(request))
 
     def close(self) -> None:
         """Close the planner."""
         self._planner.close()
 
 
-def with_examples(request: PlanRequest) -> PlanRequest:
-    """`request` with worked examples that suit it, unless memory has recalled something."""
+def with_example(request: PlanRequest) -> PlanRequest:
+    """`request` with the worked example that suits it best, unless memory has recalled something."""
     if request.recall.exemplars:
         return request
-    return msgspec.structs.replace(request, recall=Recall(worked_examples(request, MAX_SHOWN)))
+    return msgspec.structs.replace(request, recall=Recall(worked_examples(request, SHOWN)))
