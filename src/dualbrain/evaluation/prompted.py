@@ -1,8 +1,8 @@
 """The best prompt that we can write for a planner whose own prompt holds no examples (paper 7.4, arm PE).
 
 A full prompt has worked examples in it. The short one of an adapted planner has none, but such a planner was taught to
-follow what memory shows it first; so the worked example that suits the scene best is shown as if memory had recalled it.
-More of them do harm: with a refusal among the examples it refuses.
+follow what memory shows it first; so the worked example that suits the scene best is shown as if memory had recalled
+it. More of them do harm: with a refusal among the examples it refuses.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dualbrain.planner.prompt import worked_examples
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal, Recall
-
 
 SHOWN = 1
 """Examples."""
