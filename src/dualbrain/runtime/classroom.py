@@ -32,8 +32,8 @@ from dualbrain.world.wordings import kind_of, kinds, spoken, wordings, wordings_
 
 ROBOTS = {"panda": 0.6, "ur5e": 0.2, "base": 0.2}
 """Whose language is taught, and how often."""
-LONGEST = 1500
-"""Characters of question and answer that are taught; the longest sixth costs as much time as the shortest half."""
+LONGEST = 2200
+"""Characters of question and answer that are taught: less would leave out most lessons with two goals."""
 
 
 def lessons(
