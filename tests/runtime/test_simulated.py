@@ -40,6 +40,14 @@ def test_what_has_another_name_is_the_true_thing_where_it_is_seen():
     assert {found[names.get(name, name)] == name for name in here.plant.names} == {True}
 
 
+def test_what_a_map_closes_is_nothing_that_was_seen():
+    spec = make_scene("tabletop", 1)
+    plant = open_plant(spec, load_body("panda"), visuals=False)
+    scene = Perception(spec, EXACT, np.random.default_rng(0)).look(plant)
+    closed = msgspec.structs.replace(scene.find("red_cube"), name="closed", role="obstacle")
+    assert called(msgspec.structs.replace(scene, objects=(*scene.objects, closed)), plant) == {}
+
+
 def test_the_monitor_allows_the_true_thing_under_any_name():
     here = world({"red_cube": "orange_block"})
     here.look()

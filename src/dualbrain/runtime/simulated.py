@@ -25,6 +25,8 @@ GLANCE = 0.02
 BROKEN = 0.99
 """Progress of an errand whose thing arrived, but was not handled gently."""
 
+SEEN = ("object", "container")
+"""Roles of things that eyes may have named themselves."""
 ALLOWANCES = {
     "yield": "lift", "descend": "grasp", "close": "grasp", "lift": "lift", "lower": "lower", "open": "release",
     "push": "push",
@@ -123,10 +125,10 @@ class SimulatedWorld:
 def called(scene: Scene, plant: Plant) -> dict[str, str]:
     """What judges call each thing of `scene` where eyes name what they see themselves: the true thing nearest to it.
 
-    Empty where eyes use the names of the plant.
+    Empty where eyes use the names of the plant. What a map knows beside what is seen keeps its own.
     """
-    things = [thing for thing in scene.objects if thing.role != "support"]
-    if all(thing.name in plant.names for thing in things):
+    things = [thing for thing in scene.objects if thing.role in SEEN]
+    if not plant.names or all(thing.name in plant.names for thing in things):
         return {}
     true = {name: np.array(plant.truth(name).position) for name in plant.names}
     return {
