@@ -3,14 +3,20 @@
 import json
 
 import msgspec
+import numpy as np
 
 from dualbrain.contracts.canonical_contract import canonical_contract
 from dualbrain.contracts.contract import Contract
+from dualbrain.embodiment.body import load_body
+from dualbrain.memory.posture import Posture
 from dualbrain.planner.short_prompt import exemplar_steps
 from dualbrain.records import Exemplar, Recall
 from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.question import as_written
+from dualbrain.runtime.question import Standpoint, as_written, question
 from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.world.open_plant import open_plant
+from dualbrain.world.perception import EXACT, Perception
+from dualbrain.world.scenes import make_scene
 
 
 def remembered(contract):
@@ -28,6 +34,15 @@ def test_an_example_from_memory_reads_to_the_letter_as_the_answer_that_was_taugh
                 assert exemplar_steps(shown.contract) in one.contract
                 contract = msgspec.convert(shown.contract, Contract)
                 assert canonical_contract(contract, registry) == one.contract
+
+
+def test_a_question_holds_what_was_recalled_in_that_order():
+    body, spec = load_body("panda"), make_scene("tabletop", 1)
+    scene = Perception(spec, EXACT, np.random.default_rng(0)).look(open_plant(spec, body, visuals=False))
+    here = Standpoint(body, scene, None, Posture(tuple(body.home), 0.04))
+    (one,) = lessons(1, "teach", 3, {"panda": 1.0}, exemplars=0.0)
+    asked = question("words", here, Recall((remembered(one.contract),)))
+    assert exemplar_steps(asked.recall.exemplars[0].contract) in one.contract
 
 
 def test_a_refused_contract_of_other_skills_is_shown_as_it_was():
