@@ -83,8 +83,9 @@ def compared(question: str, said: Said, model: Any, tokenizer: Any, turns: list[
     Torch reads question and answer in one pass: greedy decoding says the same exactly if each token, and the end, is
     the most probable after those before it.
     """
-    given, end = list(prompt_ids(tokenizer, turns)), [tokenizer.eos_token_id] if said.whole else []
-    wanted = [*said.tokens, *end]
+    given, end = list(prompt_ids(tokenizer, turns)), tokenizer.eos_token_id
+    spoken = [token for token in said.tokens if token != end]  # some builds count the end among the tokens
+    wanted = [*spoken, end] if said.whole else spoken
     logits = model(input_ids=torch.tensor([given + wanted[:-1]]), use_cache=False).logits[0, len(given) - 1 :]
     best = logits.log_softmax(-1).topk(2)
     margins, first = (best.values[:, 0] - best.values[:, 1]).tolist(), best.indices[:, 0].tolist()

@@ -19,6 +19,7 @@ from dualbrain.evaluation.suite import Task, read_suite
 from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.work import Work, Workplace
 from dualbrain.planner.asking import FREE_BY
+from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.vocabulary import vocabulary
 from tests.evaluation.test_runner import SUITE
@@ -161,6 +162,18 @@ def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
         assert (row.free_answer, row.free_stage, row.free_compliant) == ([text, "stop"], stage, compliant)
         assert (row.motion_s, row.Delta, row.compliant) == (alone.motion_s, alone.Delta, alone.compliant)
     assert (alone.free_answer, alone.free_compliant) == ([], None)
+
+
+@pytest.mark.parametrize("accident", [TIMEOUT, CRASHED, f"{ERROR}: 500"])
+def test_a_free_answer_that_never_came_is_not_measured(accident):
+    row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner(["{"], finish_reason=accident))
+    assert (row.free_answer, row.free_compliant) == ([], None)
+
+
+@pytest.mark.parametrize("fault", [LENGTH, REFUSAL])
+def test_a_free_answer_that_was_cut_or_refused_does_not_comply(fault):
+    row = flown("B3", contract(hold(0.5)), unbound=ScriptedPlanner(["{"], finish_reason=fault))
+    assert (row.free_answer, row.free_compliant) == (["{", fault], False)
 
 
 def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():

@@ -141,3 +141,13 @@ def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
     named = "adapted=adapter:aa,base=template"
     assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert call(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
+                 "--out", str(tmp_path / "x")]) == 5  # fmt: skip
+    said = capsys.readouterr().err
+    assert "cameras of B3-depth" in said
+    assert "apt-get install" in said
+    assert not (tmp_path / "x").exists()

@@ -10,7 +10,7 @@ from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.world.families import assign
 from dualbrain.world.handling import HARMS, SHAKE, TILT, unharmed
 from dualbrain.world.monitor import UNITS, Monitor
-from dualbrain.world.perception import EXACT, Noise, Perception
+from dualbrain.world.perception import EXACT, Perception
 from dualbrain.world.plant import Plant
 from tests.world.hand import BODY, rest
 
@@ -39,8 +39,8 @@ def test_a_glass_that_stands_is_unharmed():
     assert monitor.violations() == ()
 
 
-def test_set_down_from_within_the_error_of_eyes_is_gentle_and_from_three_centimetres_is_not():
-    for height, gentle in ((0.004, True), (Noise().bound, True), (0.03, False)):
+def test_set_down_from_four_millimetres_is_gentle_and_from_three_centimetres_is_not():
+    for height, gentle in ((0.004, True), (0.03, False)):
         p, monitor = watched()
         monitor.allow(held="clear_glass", phase="release")
         x, y, _ = GIVEN.spec.place("coaster").position

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
-from dualbrain.errors import InvalidSetup, WrongUsage
+from dualbrain.errors import InvalidSetup, MissingPart, WrongUsage
 
 Flag = Annotated[bool, Parameter(negative="")]
 GUESS_S = 8.0
@@ -64,17 +64,35 @@ def evaluate(
     json
         Print one JSON object on stdout.
     """
+    from dualbrain.cli.graphics import choose_graphics
+
+    blind = choose_graphics(os.environ)  # before MuJoCo is imported, here and in every worker
     from dualbrain.evaluation.runner import Runner
 
     chosen = narrowed(suite, only, episodes, robots, planner)
     folder = out or Path("runs") / f"evaluate-{chosen.name}"
     account = Account()
     runner = Runner(chosen, folder, clock=time.monotonic, tell=lambda progress: account.print(_line(progress)))
-    if again:
-        return _again(runner, again, as_json=json)
     if dry_run:
         return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
+    _can_see(chosen.methods, blind)
+    if again:
+        return _again(runner, again, as_json=json)
     return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
+
+
+def _can_see(methods: tuple[str, ...], blind: str) -> None:
+    """Raises `MissingPart` if a method has cameras for eyes and nothing here draws what they see."""
+    from dualbrain.evaluation.method import find_method
+
+    seeing = [name for name in methods if find_method(name).eyes == "depth"]
+    if seeing and blind:
+        from dualbrain.world.pictures import PACKAGES
+
+        raise MissingPart(
+            f"A GL library for the cameras of {', '.join(seeing)}",
+            fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({blind})",
+        )
 
 
 def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:

@@ -19,6 +19,7 @@ from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
 from dualbrain.planner.asking import FREE_BY
+from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP
 from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.storable import storable
@@ -110,11 +111,14 @@ def _compliant(case: Case, first: list[Verdict]) -> bool:
 
 
 def _free(case: Case, door: MethodDoor, first: Proposal | None) -> dict[str, Any]:
-    """What the answer was worth that nothing bound: one that was asked for, or the first one itself."""
+    """What the answer was worth that nothing bound: one that was asked for, or the first one itself.
+
+    Where none came (the engine broke, or time ran out) nothing was measured, which says nothing against the model.
+    """
     verdict, answer = door.free, door.aside
     if verdict is None and first is not None and first.constrained_by.startswith(FREE_BY):
         verdict, answer = door.strict[0], first
-    if verdict is None or answer is None:
+    if verdict is None or answer is None or answer.finish_reason not in (STOP, LENGTH, REFUSAL):
         return {"free_answer": [], "free_stage": "", "free_compliant": None}
     text = [storable(answer.text), answer.finish_reason]
     return {"free_answer": text, "free_stage": _stage(verdict), "free_compliant": _compliant(case, [verdict])}

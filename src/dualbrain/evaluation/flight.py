@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -34,12 +35,13 @@ from dualbrain.runtime.trace import Trace
 from dualbrain.runtime.vocabulary import PLANNER, grants
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.depth_camera import DepthCamera
-from dualbrain.world.depth_perception import DepthPerception
 from dualbrain.world.open_plant import open_plant
 from dualbrain.world.perception import Noise, Perception
 from dualbrain.world.plant import Plant
 from dualbrain.world.task import Goal
+
+if TYPE_CHECKING:
+    from dualbrain.world.depth_perception import DepthPerception
 
 Clock = Callable[[], float]
 OUT_OF_TIME = "out of time"
@@ -153,6 +155,9 @@ def eyes(case: Case, method: Method, plant: Plant) -> Perception | DepthPercepti
     """How `method` sees the scene of `case`; raises `InvalidSetup` where depth alone cannot show it."""
     rng = np.random.default_rng([case.seed, case.repetition, 1])
     if method.eyes == "depth":
+        from dualbrain.world.depth_camera import DepthCamera  # noqa: PLC0415  (0.4 s of SciPy that one method needs)
+        from dualbrain.world.depth_perception import DepthPerception  # noqa: PLC0415
+
         return DepthPerception(case.spec, DepthCamera(plant, rng=rng))
     return Perception(case.spec, Noise(), rng)
 

@@ -110,7 +110,7 @@ def _seize(limb: Limb, thing: SceneObject, clearance: float, speed: float, force
     name = thing.name
     if why := (yield from limb.close(force)):
         return why
-    limb.take_hold(thing, float(limb.senses.tool.position[2]) - geometry.bottom(thing))
+    limb.take_hold(thing)
     if why := (yield from climb(limb, limb.floor + clearance + limb.below_tool, "lift", speed)):
         return why
     if not limb.grips():

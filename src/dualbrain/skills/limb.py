@@ -230,16 +230,21 @@ class Limb:
         tool = self.senses.tool
         return Goal(tool.position.copy(), tool.rotation.copy(), self.senses.state.q.copy())
 
-    def take_hold(self, thing: SceneObject, below_tool: float) -> None:
-        """Remember that `thing` is between the fingers, its lowest point `below_tool` [m] under the tool."""
-        self.holding = Holding(thing.name, below_tool)
+    def take_hold(self, thing: SceneObject) -> None:
+        """Remember that `thing` is between the fingers, and how far its lowest point lies under the tool."""
+        self.holding = Holding(thing.name, float(self.senses.tool.position[2]) - self.foot(thing))
+
+    def foot(self, thing: SceneObject) -> float:
+        """Height [m] of the lowest point of `thing`: the floor's own, where the eyes' error cannot tell them apart."""
+        low = bottom(thing)
+        return self.floor if abs(low - self.floor) <= thing.error else low
 
     def catch(self, name: str) -> bool:
         """Take hold of `name` if nothing is held and both fingers press: they were stopped while closing on it."""
         thing = next((thing for thing in self.senses.scene.objects if thing.name == name), None)
         if thing is None or self.holding or not self.grips():
             return False
-        self.take_hold(thing, float(self.senses.tool.position[2]) - bottom(thing))
+        self.take_hold(thing)
         return True
 
     @property

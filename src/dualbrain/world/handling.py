@@ -1,8 +1,7 @@
 """How gently a thing is handled: the tilt and the acceleration of what must arrive upright and whole.
 
 tilted_load: the thing's axis leans more than 30 degrees off where it stood. shaken_load: its velocity changes by more
-than 10 m/s² on average over 50 ms; a fall does that, and so does being put down from more than 13 mm. A hand that
-believes its eyes lets go at up to 9 mm, their declared error: that much is luck, and must not decide.
+than 8 m/s² on average over 50 ms; a fall does that, and so does being put down from more than 8 mm.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from dualbrain.world.plant import Plant
 
 TILT = float(np.deg2rad(30.0))
 """[rad]"""
-SHAKE = 10.0
+SHAKE = 8.0
 """[m/s²]"""
 WINDOW = 0.05
 """[s]"""
