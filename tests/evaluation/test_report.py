@@ -1,12 +1,14 @@
 """The report of made-up results: it says what was found, what was not, and is one file that works offline."""
 
 import re
+from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
 import pytest
 
 from dualbrain.cli.main import call
+from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.gallery import chosen
@@ -93,6 +95,27 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
     assert page.count("<svg") == 3
 
 
+def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
+    shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
+    write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, [0.5, 2.0], shots, "2026-11-21", "again"))
+    page = (tmp_path / "report.md").read_text()
+    for part in (
+        "## Hypotheses",
+        "12 episodes, 2026-11-21, code abc, seeds 0 to 1 (2)",
+        "Again: `again`",
+        "not measured",
+    ):
+        assert part in page
+    assert r"\<img src=x\> \[a\](b) \`c\`" in page
+    shown = re.findall(r"!\[.*?\]\(([a-z_0-9.]+)\)", page)
+    assert shown == ["curves.svg", "traces.svg", "latencies.svg", "failure_1.jpg"]
+    for name in shown:
+        assert (tmp_path / name).stat().st_size > 300
+    chart = (tmp_path / "curves.svg").read_text()
+    assert ElementTree.fromstring(chart).tag.endswith("svg")
+    assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
+
+
 def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
     idle = row("B3", trace_t=[], trace_h=[], trace_delta=[], Delta=None, frequency=None, filter_us=[], shots=0)
     assert "What was not measured" in render_evaluation(Told([idle], suite, {}))
@@ -121,7 +144,7 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert call(["report", str(tmp_path / "one"), "--gallery", "0", "--json"]) == 0
     told = msgspec.json.decode(capsys.readouterr().out)
     assert [one["name"] for one in told] == ["H1", "H2", "H3"]
-    assert "## Hypotheses" in (tmp_path / "one" / "report.md").read_text()
+    assert "## Hypotheses" in (tmp_path / "one" / "page" / "report.md").read_text()
     assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
     assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out

@@ -85,9 +85,10 @@ app.command(
     "dualbrain.cli.report:report", name="report",
     help="""What an evaluation found, as one HTML file.
 
-    Writes report.html (works offline, no script) and report.md into the folder: verdicts on the paper's hypotheses with
-    their intervals, methods × metrics, curves over repetitions, traces, failures with pictures, latencies, and what was
-    not measured. `dualbrain report runs/smoke --gallery 0` flies nothing again for pictures.""",
+    Writes report.html (works offline, no script) into the folder, and a Markdown page with its pictures into page/ or
+    wherever --page says: verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over
+    repetitions, traces, failures with pictures, latencies, and what was not measured. `dualbrain report runs/smoke
+    --gallery 0` flies nothing again for pictures.""",
 )  # fmt: skip
 app.command(
     "dualbrain.cli.report:compare", name="compare",

@@ -18,8 +18,8 @@ from dualbrain.errors import InvalidSetup
 Flag = Annotated[bool, Parameter(negative="")]
 
 
-def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
-    """Write FOLDER/report.html (one file, works offline) and FOLDER/report.md from the results in FOLDER.
+def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json: Flag = False) -> int:
+    """Write FOLDER/report.html (one file, works offline) and FOLDER/page/report.md from the results in FOLDER.
 
     Verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over repetitions, traces,
     failures with pictures, latencies, and what was not measured.
@@ -30,18 +30,18 @@ def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
         What `dualbrain evaluate --out` names.
     gallery
         How many failures are flown again for a picture; default as the suite says, 0 for none.
+    page
+        Where the Markdown page and its pictures go; default FOLDER/page.
     json
         Print one JSON object on stdout: the verdicts.
     """
     from dualbrain.cli.graphics import choose_graphics
 
     blind = choose_graphics(os.environ)
+    from dualbrain.dashboard.evaluation_page import PAGE, write_page
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
     from dualbrain.evaluation.hypotheses import answers
-    from dualbrain.evaluation.markdown import page
-    from dualbrain.evaluation.missing import missing
     from dualbrain.evaluation.plans import Plans
-    from dualbrain.evaluation.report_tables import all_grids
     from dualbrain.evaluation.work import PLANS
 
     rows, config, suite = results(folder)
@@ -55,14 +55,12 @@ def report(folder: Path, /, *, gallery: int = -1, json: Flag = False) -> int:
     command = f"dualbrain evaluate --suite {suite.name} --out {folder.name}"
     told = Told(rows, suite, config, asked, shots, date, command)
     write_evaluation(folder / "report.html", told)
-    about = [suite.says, f"{len(rows)} episodes, {date}, code {config['origin']['code']}.", f"Again: `{command}`."]
-    whole = page(f"Evaluation {suite.name}", about, all_grids(rows, config))
-    listed = "\n".join(f"- {line}" for line in missing(rows, suite))
-    (folder / "report.md").write_text(f"{whole}\n## What was not measured\n\n{listed}\n", encoding="utf-8")
+    pages = page or folder / "page"
+    write_page(pages, told)
     found = answers(rows)
     for one in found:
         account.print(f"{one.name}: {one.verdict} ({one.says})")
-    account.print(f"report: {folder / 'report.html'}")
+    account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE}")
     if json:
         told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in found]
         answer(msgspec.json.encode(told_json).decode())

@@ -55,7 +55,7 @@ def curves(rows: Sequence[Row]) -> Html:
                 _curve(place, rows, method, name, index)
             place.set_ylim(0, None)
             place.set_xlabel("repetition", loc="right", labelpad=1)
-            place.xaxis.get_major_locator().set_params(integer=True)
+            place.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
         _legend(figure, axes, methods)
     return themed(out.getvalue(), "metrics over repetitions")
 

@@ -112,16 +112,18 @@ def _gallery(shots: Sequence[Shot]) -> Html:
 def _figure(shot: Shot) -> Html:
     words = join((element("b", f"{shot.row.method}: {shot.row.failure or UNSAFE}"), shot.caption, element("br"),
                   element("code", shot.row.key)))  # fmt: skip
-    return element("figure", element("img", src=_jpeg(shot.rgb), alt=shot.caption), element("figcaption", words))
+    picture = "data:image/jpeg;base64," + base64.b64encode(jpeg(shot.rgb)).decode()
+    return element("figure", element("img", src=picture, alt=shot.caption), element("figcaption", words))
 
 
-def _jpeg(rgb: NDArray[np.uint8]) -> str:
+def jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """A picture (height, width, 3), made about `WIDTH` wide, as the bytes of a JPEG file."""
     from matplotlib.image import imsave  # noqa: PLC0415  (heavy imports are lazy)
 
     step = max(1, round(rgb.shape[1] / WIDTH))
     data = BytesIO()
     imsave(data, np.ascontiguousarray(rgb[::step, ::step]), format="jpeg", pil_kwargs={"quality": 86})
-    return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
+    return data.getvalue()
 
 
 def _origin(told: Told) -> Html:

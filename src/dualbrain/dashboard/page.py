@@ -60,7 +60,6 @@ def section(title: str, *content: str, note: str = "") -> Html:
 
 def document(title: str, *content: str) -> str:
     """The whole page, self-contained."""
-    style = resources.files("dualbrain.dashboard").joinpath("page.css").read_text(encoding="utf-8")
     head = element(
         "head",
         element("meta", charset="utf-8"),
@@ -68,6 +67,16 @@ def document(title: str, *content: str) -> str:
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", name="color-scheme", content="light dark"),
         element("title", title),
-        element("style", Html(style)),
+        element("style", Html(_style())),
     )
     return "<!doctype html>\n" + element("html", head, element("body", element("main", *content)), lang="en") + "\n"
+
+
+def palette() -> Html:
+    """The page's colours alone, for drawings that stand outside of it."""
+    style = _style()
+    return Html(style[style.index(":root") : style.index("* {")])
+
+
+def _style() -> str:
+    return resources.files("dualbrain.dashboard").joinpath("page.css").read_text(encoding="utf-8")

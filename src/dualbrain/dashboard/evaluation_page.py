@@ -1,0 +1,64 @@
+"""An evaluation as a Markdown page with its pictures beside it: what a repository can show."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
+from dualbrain.dashboard.evaluation_report import UNSAFE, Shot, Told, jpeg
+from dualbrain.dashboard.page import Html, palette
+from dualbrain.evaluation.markdown import page
+from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.report_tables import all_grids
+
+PAGE = "report.md"
+SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
+
+
+def write_page(folder: Path, told: Told) -> None:
+    """Write report.md, and what it shows, into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = ["## Pictures", ""]
+    for name, title, chart in (
+        ("curves", "Over repetitions: mean with its 95 % interval", curves(told.rows)),
+        ("traces", f"One place: {traced_pair(told.rows)}", traces(told.rows)),
+        ("latencies", "Share of measurements below", latencies(told.rows, told.asked)),
+    ):
+        folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")
+        lines += [f"{literal(title)}", "", f"![{literal(title)}]({name}.svg)", ""]
+    for number, shot in enumerate(told.gallery, start=1):
+        name = f"failure_{number}.jpg"
+        folder.joinpath(name).write_bytes(jpeg(shot.rgb))
+        lines += [f"![{number}]({name})", "", *_caption(shot), ""]
+    lines += ["## What was not measured", "", *(f"- {line}" for line in missing(told.rows, told.suite)), ""]
+    whole = page(f"Evaluation {told.suite.name}", about(told), all_grids(told.rows, told.config))
+    folder.joinpath(PAGE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
+
+
+def about(told: Told) -> list[str]:
+    """What was flown, when, with which code and seeds, and how to fly it again."""
+    seeds = sorted({row.seed for row in told.rows})
+    code = told.config.get("origin", {}).get("code", "unknown")
+    return [
+        told.suite.says,
+        f"{len(told.rows)} episodes, {told.date}, code {code}, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)}).",
+        f"Again: `{told.command}`.",
+    ]
+
+
+def standing(chart: Html) -> str:
+    """A chart of our pages as a file of its own: with the page's colours in it, on the page's ground."""
+    ground = '<rect width="100%" height="100%" fill="var(--card)"/>'
+    start = chart.index(">") + 1
+    return f"{chart[:start]}<style>{palette()}</style>{ground}{chart[start:]}\n"
+
+
+def literal(text: str) -> str:
+    """Text of anybody, as Markdown that shows it and does nothing else."""
+    return SPECIAL.sub(r"\\\1", " ".join(text.split()))
+
+
+def _caption(shot: Shot) -> list[str]:
+    what = shot.row.failure or UNSAFE
+    return [f"{literal(shot.row.method)}: {literal(what)}. {literal(shot.caption)}  ", f"`{shot.row.key}`"]
