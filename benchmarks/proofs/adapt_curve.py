@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +23,6 @@ from dualbrain.adaptation.compliance import gate_judge
 from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
 from dualbrain.adaptation.curate import curate
 from dualbrain.adaptation.dataset import Dataset, dataset_of
-from dualbrain.adaptation.lessons.course import course
 from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
 from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving.layers import Stack, stack_of
@@ -39,7 +39,16 @@ from dualbrain.planner.prompt import Message, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Recall
 from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.runtime.proposals import LEDGER, ROBOT, flown, instruction_of, proposals, proposed
+from dualbrain.runtime.proposals import (
+    LEDGER,
+    ROBOT,
+    declined,
+    flown,
+    instruction_of,
+    memory_of,
+    proposals,
+    proposed,
+)
 from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
 from proofs.closed_loop import fly
@@ -47,11 +56,12 @@ from proofs.figures import table
 from proofs.language import LONGEST, by_chance, judged, right
 from proofs.proof import Options, Row, Unit
 
-SEEDS, FLIGHTS = range(3), 240
+SEEDS, FLIGHTS, REACHED = range(3), 240, 280
+"""Of the lessons of a seed so many are deeds that are flown; what is declined comes from the first so many."""
 STEPS, HALFWAY, BATCH = 100, 50, 4
 """Of a fit, and of a shorter one beside it, whose rate falls as far; samples of a step."""
-A_SLICE, CARRIED_OUT, DRAWN, DRAWS = 20, 16, 3, 16
-"""Questions of each slice, answers that are carried out, questions that are drawn from, draws of each."""
+A_SLICE, CARRIED_OUT, DRAWS = 20, 6, 16
+"""Questions of each slice, answers of each that are carried out, draws of the first question of each."""
 EPSILON = CleanRules().epsilon
 PLAIN = ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none")
 FULL = ObjectiveDials()
@@ -63,12 +73,13 @@ TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
     "+ KL": (True, msgspec.structs.replace(PLAIN, beta=FULL.beta)),
     "EAFT's gate": (True, msgspec.structs.replace(PLAIN, entropy_gate="token")),
 }
-"""By arm: whether only clean episodes are taught, and the objective."""
+"""By arm: whether only clean episodes are taught, and the objective. Nothing was recalled in the flights, so that all
+memories have one weight, and λ_w moves nothing here."""
 Prompt = Literal["short", "example", "long"]
 ASKED_ONLY: dict[str, Prompt] = {"base": "short", "base, worked example": "example", "base, long prompt": "long"}
 """Arms without a fit, by their prompt: as it was taught; with a worked example in it; rules, skills and examples."""
-HALF_AS_WELL = ("full", "sft, clean ones")
-"""Arms that are also fitted for half of the steps."""
+HALF_AS_WELL, ONCE = ("full",), ("EAFT's gate",)
+"""Arms that are also fitted for half of the steps, and those of one seed only."""
 MEASURES = ("compliant", "skills", "right", "quiet", "valid draws")
 
 
@@ -83,7 +94,7 @@ class AdaptCurve:
 
     def units(self, options: Options) -> list[Unit]:
         """The arms that need no fit, then seed by seed the whole fits, then the shorter ones."""
-        fits = [(seed, arm, STEPS) for seed in SEEDS for arm in TAUGHT]
+        fits = [(seed, arm, STEPS) for seed in SEEDS for arm in TAUGHT if seed == 0 or arm not in ONCE]
         fits += [(seed, arm, HALFWAY) for seed in SEEDS for arm in HALF_AS_WELL]
         folder = str(options.folder / self.name)
         return [
@@ -112,14 +123,14 @@ class AdaptCurve:
         for steps, arm in keys:
             mine = [measures(row) for row in rows if (row["steps"], row["arm"]) == (steps, arm)]
             cells.append((arm, steps, len(mine), *(interval([one[what] for one in mine]) for what in MEASURES)))
-        slices = [name for name in SLICES if name != "known"]
         lines = table(("arm", "steps", "seeds", *MEASURES), cells)
-        lines += ["Right, by what had not been taught:", ""]
-        return lines + table(
-            ("arm", "steps", *slices),
-            [(arm, steps, *(interval([_right(row, name) for row in rows if (row["steps"], row["arm"]) == (steps, arm)])
-              for name in slices)) for steps, arm in keys],
-        )  # fmt: skip
+        lines += ["Right, by what had not been taught and by what is asked:", ""]
+        parts: list[tuple[object, ...]] = []
+        for steps, arm in keys:
+            mine = [row for row in rows if (row["steps"], row["arm"]) == (steps, arm)]
+            told = (interval([_share(row, belongs) for row in mine]) for belongs in PARTS.values())
+            parts.append((arm, steps, *told, *cost(mine)))
+        return lines + table(("arm", "steps", *PARTS, "samples", "processor s of a fit"), parts)
 
 
 # --- teaching ---------------------------------------------------------------------------------------------------------
@@ -137,7 +148,9 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
     clean, objective = TAUGHT[arm]
     config = AdaptConfig(
         objective=objective,
-        fit=FitDials(steps=steps, batch=BATCH, at_once=BATCH, seed=seed, save_every=25, ask_at_most=0, threads=1),
+        fit=FitDials(
+            steps=steps, batch=BATCH, at_once=BATCH, seed=seed, save_every=25, ask_at_most=0, threads=1, keep="last"
+        ),
     )
     data = taught(day(folder, seed), clean=clean)
     began, busy = time.monotonic(), time.process_time()
@@ -150,20 +163,21 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
 
 
 def day(folder: Path, seed: int) -> Path:
-    """The flights that all arms of a seed learn from."""
+    """The flights that all arms of a seed learn from, and what was rightly declined between them."""
     kept, wanted = folder / "proposals" / f"seed {seed}, {FLIGHTS} flights", proposals(seed, FLIGHTS)
-    return flown(kept, FLIGHTS, wanted.__getitem__, cache=folders.cache())
+    deeds = flown(kept, FLIGHTS, wanted.__getitem__, cache=folders.cache())
+    refused = [one for one in proposals(seed, REACHED, declines=True) if declined(one)]
+    whole = kept.with_name(f"{kept.name}, {len(refused)} declines")
+    return flown(whole, len(refused), refused.__getitem__, cache=folders.cache(), first=FLIGHTS, start=deeds)
 
 
 def taught(folder: Path, *, clean: bool) -> Dataset:
     """What is taught of the flights in `folder`: the clean ones, or all that was proposed, whatever became of it."""
-    registry = vocabulary(ROBOT)
-    if not clean:
-        every = proposed(folder)
-        return course(every[len(every) // 10 :], every[: len(every) // 10], {ROBOT: registry})
-    dials = AdaptConfig().curation
+    registry, dials = vocabulary(ROBOT), AdaptConfig().curation
+    dials = msgspec.structs.replace(dials, rules=CleanRules(physical=clean))
+    declines = [memory_of(turn) for turn, one in enumerate(proposed(folder)) if declined(one)]
     with LedgerReader(folder / LEDGER) as reader:
-        return dataset_of(curate(reader, registry, dials), registry, dials)
+        return dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)
 
 
 # --- asking -----------------------------------------------------------------------------------------------------------
@@ -194,15 +208,17 @@ def asked(stack: Stack, prompt: Prompt) -> Row:
     planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
     try:
         answers = [{"slice": name, **judged(one, answer(planner, one, prompt))} for name, one in questions()]
-        draws = [draw(planner, one, chance, prompt) for _, one in questions()[:DRAWN] for chance in range(DRAWS)]
+        draws = [draw(planner, one, chance, prompt) for one in drawn_from() for chance in range(DRAWS)]
     finally:
         planner.close()
     good = [one for one in answers if right(one) and not one["declines"]]
-    return {
-        "answers": answers,
-        "valid_draws": sum(draws) / len(draws),
-        "flights": [flight(one) for one in good[:CARRIED_OUT]],
-    }
+    flights = [flight(one) for name in SLICES for one in [x for x in good if x["slice"] == name][:CARRIED_OUT]]
+    return {"answers": answers, "valid_draws": sum(draws) / len(draws), "flights": flights}
+
+
+def drawn_from() -> list[Sample]:
+    """The first question of each slice."""
+    return [next(one for slice_, one in questions() if slice_ == name) for name in SLICES]
 
 
 def turns(one: Sample, prompt: Prompt) -> list[Message]:
@@ -252,8 +268,25 @@ def measures(row: Row) -> dict[str, float]:
     return shares | {"quiet": float(np.mean(quiet)) if quiet else math.nan}
 
 
-def _right(row: Row, name: str) -> float:
-    return float(np.mean([right(one) for one in row["answers"] if one["slice"] == name]))
+PARTS: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "family": lambda one: one["slice"] == "family",
+    "kinds of things": lambda one: one["slice"] == "kinds of things",
+    "one goal": lambda one: one["goals"] == 1 and not one["declines"],
+    "several goals": lambda one: one["goals"] > 1,
+    "to be declined": lambda one: one["declines"],
+}
+"""Parts of the questions."""
+
+
+def _share(row: Row, belongs: Callable[[dict[str, Any]], bool]) -> float:
+    """The share of right answers among those that belong."""
+    return float(np.mean([right(one) for one in row["answers"] if belongs(one)]))
+
+
+def cost(rows: list[Row]) -> tuple[str, str]:
+    """Samples and processor seconds of the fits, on average; a fit that was taken up again does not count."""
+    fits = [(row["samples"], row["fit_cpu_s"]) for row in rows if "samples" in row]
+    return (f"{np.mean([n for n, _ in fits]):.0f}", f"{max(s for _, s in fits):.0f}") if fits else ("-", "-")
 
 
 STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}

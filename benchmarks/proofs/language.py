@@ -143,8 +143,14 @@ def free(planner: LlamaPlanner, question: Sample) -> str:
 
 
 def by_chance(planner: LlamaPlanner, turns: Sequence[Mapping[str, object]], temperature: float, seed: int) -> str:
-    """A free answer drawn at `temperature`; "" where there is none."""
-    body = {"messages": list(turns), "max_tokens": LONGEST, "temperature": temperature, "seed": seed}
+    """A free answer drawn at `temperature` from the whole distribution; "" where there is none.
+
+    Draws of one prompt share what was read of it: chance decides them, not a rounding.
+    """
+    body = {
+        "messages": list(turns), "max_tokens": LONGEST, "temperature": temperature, "seed": seed,
+        "top_k": 0, "top_p": 1.0, "min_p": 0.0, "cache_prompt": True,
+    }  # fmt: skip
     told = planner.tell("/v1/chat/completions", body)
     return "" if isinstance(told, Answer) else str(told["choices"][0]["message"].get("content") or "")
 

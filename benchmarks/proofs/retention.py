@@ -7,6 +7,7 @@ runtime that serves: perplexity of a fixed text of no robot's, and plain questio
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,8 @@ class Retention:
 
 
 def known(text: str, words: str) -> bool:
-    """Whether `text` holds one of `words`."""
-    return any(word in text.lower() for word in words.split("|"))
+    """Whether `text` is no contract and has one of `words` in it."""
+    return "{" not in text and re.search(rf"\b(?:{words})s?\b", text.lower()) is not None
 
 
 def taught(arm: str, seed: int, folder: Path) -> Stack:

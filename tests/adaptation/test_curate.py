@@ -76,6 +76,24 @@ def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
     }  # fmt: skip
 
 
+def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
+    """The ablation of the paper's 7.4: whatever came of it; what the gate refuses and what is set aside stays out."""
+    kinds = {
+        "good": {}, "rough": {"Delta": 0.5}, "slow": {"duration": 90.0}, "failed": {"kind": "failed"},
+        "endless": {"plan": pick(force=900.0)},
+    }  # fmt: skip
+    told = [
+        episode(name, told=summary(number=number), words=f"do {name}", **change)
+        for number, (name, change) in enumerate(kinds.items())
+    ]
+    every = Curation(CleanRules(physical=False), held_out=0.0)
+    with remember(tmp_path, told) as ledger:
+        found, clean = curate(ledger, REGISTRY, every), curate(ledger, REGISTRY, ALL)
+    assert {row.memory for row in found.train} == {"good", "rough", "slow", "failed"}
+    assert found.left_out == {"refused by the gate: envelope": ("endless",)}
+    assert {row.memory for row in clean.train} < {row.memory for row in found.train}
+
+
 def test_what_is_set_aside_does_not_teach_and_what_is_brought_back_does(tmp_path):
     def set_aside(memory):
         quarantine(memory, ["e0", "e1"], "a test", now=NOW)

@@ -134,6 +134,14 @@ def test_it_stops_early_and_wears_the_best(tmp_path):
     assert bench.fit.finished
 
 
+def test_the_last_is_kept_where_that_is_asked_for(tmp_path):
+    """All steps are taken, and what is worn is where they led, however much better an earlier one was."""
+    bench = Bench(tmp_path / "fit", config=dials(rate=1e-9, steps=40, patience=2, keep="last"))
+    found = bench.run()
+    assert (bench.fit.step, found.step) == (40, 40)
+    assert bench.fit.finished
+
+
 def test_without_a_held_out_part_the_newest_is_kept(tmp_path):
     bench = Bench(tmp_path / "fit", data=dataset(held_out=0))
     assert bench.run() is None

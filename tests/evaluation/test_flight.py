@@ -11,16 +11,18 @@ from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.again import Watching, again, differs
 from dualbrain.evaluation.case import case_of
-from dualbrain.evaluation.flight import Means, fly
+from dualbrain.evaluation.flight import OUT_OF_TIME, Means, fly
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.planners import Sources
+from dualbrain.evaluation.plans import Accident
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Task, read_suite
 from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.work import Work, Workplace
 from dualbrain.planner.asking import FREE_BY
-from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, TIMEOUT
+from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.records import Judgement
 from dualbrain.runtime.vocabulary import vocabulary
 from tests.evaluation.test_runner import SUITE
 
@@ -114,7 +116,7 @@ class Unbound(ScriptedPlanner):
 class Declining(Work):
     """Carries out units with a planner that always answers `text`: quick, and it fills ledgers."""
 
-    text = contract(DECLINE)
+    text, fault = contract(DECLINE), STOP
 
     def __init__(self, place):
         super().__init__(place)
@@ -122,7 +124,7 @@ class Declining(Work):
 
     def of(self, method, robot):
         del method, robot
-        planner = ScriptedPlanner([self.text])
+        planner = ScriptedPlanner([self.text], finish_reason=self.fault)
         return type("Kept", (), {"asked": 0, "name": "scripted", "propose": planner.propose, "close": planner.close})()
 
 
@@ -162,6 +164,39 @@ def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
         assert (row.free_answer, row.free_stage, row.free_compliant) == ([text, "stop"], stage, compliant)
         assert (row.motion_s, row.Delta, row.compliant) == (alone.motion_s, alone.Delta, alone.compliant)
     assert (alone.free_answer, alone.free_compliant) == ([], None)
+
+
+def test_a_question_that_got_no_answer_is_no_result(tmp_path):
+    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, runs=1)
+    place = Workplace(suite, tmp_path, Sources(cache(), tmp_path), standing, {"panda": 0.003})
+    for reason in (CRASHED, TIMEOUT, f"{ERROR}: 500"):
+        work = Declining(place)
+        work.fault = reason
+        (unit, *_) = (unit for unit in units_of(suite, "fly") if unit.method == "B3")
+        with pytest.raises(Accident, match=reason):
+            list(work(unit))
+
+
+def test_what_only_is_measured_beside_is_not_measured_in_pilots(tmp_path):
+    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, free=1, runs=1)
+    work = Declining(Workplace(suite, tmp_path, Sources(cache(), tmp_path), standing, {"panda": 0.003}))
+    work.unbound = work.of
+    (start,), fly_it = units_of(suite, "start"), units_of(suite, "fly")[0]
+    assert {line["free_compliant"] for line in work(start)} == {None}
+    assert {line["free_compliant"] for line in work(fly_it)} == {False}
+
+
+def test_what_is_done_too_late_has_failed():
+    """The thing may lie where it should; the contract was broken off all the same."""
+    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    means = Means("e-1", ScriptedPlanner([contract(hold(0.5))]), time.perf_counter, planning_time=0.2)
+    flight = fly(case, arm, means)
+    there = Judgement(success=True, progress=1.0, violations=())
+    for reason, success in (("red_cube is at blue_bowl", True), (f"{OUT_OF_TIME}, 60 s", False)):
+        outcome = msgspec.structs.replace(flight.episode.outcome, reason=reason)
+        episode = msgspec.structs.replace(flight.episode, judgement=there, outcome=outcome)
+        told = account(case, arm, dataclasses.replace(flight, episode=episode), Place("k", "s", "c", 0, asked=True))
+        assert told.success == success
 
 
 @pytest.mark.parametrize("accident", [TIMEOUT, CRASHED, f"{ERROR}: 500"])

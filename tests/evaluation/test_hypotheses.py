@@ -81,7 +81,7 @@ def test_h2_is_about_the_later_half(factor, verdict):
 def test_h2_counts_only_places_at_which_both_succeed():
     rows = [*repeated("M", 0.5), *repeated("B4", 1.0)]
     less = [one for one in rows if (one.method, one.repetition) != ("M", 9)]
-    hurt = [row("M", run, seed=run, repetition=9, Delta=5.0, claimed=False) for run in range(10)]
+    hurt = [row("M", run, seed=run, repetition=9, Delta=5.0, success=False) for run in range(10)]
     assert answers([*less, *hurt])[1].claims[0].found == answers(less)[1].claims[0].found
 
 
@@ -99,6 +99,15 @@ def test_h3_needs_both_comparisons_and_one_of_two_effects():
     assert answers([*base, *good])[2].verdict == "supported"
     half = [*adapted("Full", 0.95, 0.3), *adapted("P", 0.4, 0.3)]
     assert answers([*base, *half])[2].verdict == "refuted"
+
+
+def test_h3_counts_the_frequency_of_contracts_about_the_task_alone():
+    """A planner that learnt to do little, undisturbed, has learnt nothing."""
+    rows = [*adapted("M", 0.5, 0.3), *adapted("PE", 0.6, 0.3), *adapted("Full", 0.5, 0.3), *adapted("P", 0.6, 0.3)]
+    idle = [msgspec.structs.replace(one, frequency=0.0, meant=one.seed % 2 == 0) if one.method in ("Full", "P")
+            and one.seed % 2 else one for one in rows]  # fmt: skip
+    found = [claim for claim in answers(idle)[2].claims if "frequency" in claim.quantity]
+    assert [claim.found.effect for claim in found] == pytest.approx([1.0, 1.0])
 
 
 def test_h3_judges_answers_that_nothing_bound_where_they_were_asked_for():

@@ -28,8 +28,8 @@ def test_violation_rate_counts_the_papers_kinds_only():
 
 
 def test_delta_of_failures_is_never_averaged_with_successes():
-    assert (value("Δ of successes", claimed=True), value("Δ of failures", claimed=True)) == (0.01, None)
-    assert (value("Δ of successes", claimed=False), value("Δ of failures", claimed=False)) == (None, 0.01)
+    assert (value("Δ of successes", success=True), value("Δ of failures", success=True)) == (0.01, None)
+    assert (value("Δ of successes", success=False), value("Δ of failures", success=False)) == (None, 0.01)
 
 
 def test_an_arm_without_filter_has_no_intervention():

@@ -7,15 +7,17 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.cli import evaluate
 from dualbrain.cli.main import call
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.gallery import chosen
-from dualbrain.evaluation.grids import cell, failures, methods_of, number, overview
+from dualbrain.evaluation.grids import cell, failures, families, methods_of, number, overview
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.report_tables import all_grids
+from dualbrain.evaluation.runner import STAGES
 from dualbrain.evaluation.statistics import Estimate
 from dualbrain.evaluation.suite import read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
@@ -58,6 +60,15 @@ def test_numbers_as_people_read_them():
     assert number(-0.0012345) == "−0.00123"
     assert cell(Estimate(0.5, 0.1, 0.4, 0.6, 10, 5), "1") == "0.5 ± 0.1 [0.4, 0.6]"
     assert cell(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
+
+
+def test_a_family_is_told_as_a_whole_and_level_by_level():
+    two = [row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
+           for level in ("I", "II") for run in range(3)]  # fmt: skip
+    lines = {line[0]: line[1] for line in families(two).rows}
+    shares = [lines[f"panda edge_rescue{part}: success"].split("%")[0] for part in ("", " I", " II")]
+    assert shares == ["50.0 ", "100.0 ", "0.0 "]
+    assert "panda edge_rescue: success" not in {line[0] for line in families(two[:3]).rows}
 
 
 def test_failures_add_up(rows):
@@ -174,3 +185,13 @@ def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, c
     assert "cameras of B3-depth" in said
     assert "apt-get install" in said
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(("broken", "done"), [("plan", STAGES), ("pilot", ("pilot",)), ("", STAGES)])
+def test_answers_that_are_missing_are_asked_for_in_flight_but_nothing_is_flown_without_epsilon(
+    monkeypatch, broken, done
+):
+    begun = []
+    monkeypatch.setattr(evaluate, "_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
+    assert evaluate._passes(None, STAGES, None, 1) == (not broken)
+    assert tuple(begun) == done

@@ -16,6 +16,7 @@ from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
 from dualbrain.evaluation.suite import check_planners, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
+from dualbrain.runtime.trace import DEAD_BAND
 from tests.evaluation.rows import COLLISION, row
 
 SUITE = b"""
@@ -79,6 +80,14 @@ def test_what_is_done_every_so_many_th_repetition_is_a_matter_of_the_repetition_
     for said in (b"utility = true", b"utility = -1"):
         with pytest.raises(InvalidSetup, match="utility"):
             read_suite(SUITE + said, "tiny.toml")
+
+
+def test_a_task_may_be_for_some_methods_only(suite):
+    first, *rest = suite.tasks
+    some = msgspec.structs.replace(suite, tasks=(msgspec.structs.replace(first, methods=("B3",)), *rest))
+    assert {unit.method for unit in units_of(some, "fly") if unit.task.name == first.name} == {"B3"}
+    with pytest.raises(UnknownName, match="B9"):
+        read_suite(SUITE.replace(b"family = ", b'methods = ["B9"]\nfamily = ', 1), "tiny.toml")
 
 
 def test_any_prefix_compares_the_same_runs(suite):
@@ -183,8 +192,9 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
 
 
 def test_epsilon_is_the_median_of_the_pilots_successes():
-    rows = [row(Delta=0.01), row(Delta=0.02), row(Delta=0.06), row(Delta=9.0, claimed=False)]
+    rows = [row(Delta=0.01), row(Delta=0.02), row(Delta=0.06), row(Delta=9.0, success=False)]
     assert pilot_epsilon(rows, ["panda"]) == {"panda": 0.02}
+    assert pilot_epsilon([row(Delta=0.0)], ["panda"]) == {"panda": DEAD_BAND}  # nothing is less than no intervention
     with pytest.raises(InvalidSetup, match="no success"):
         pilot_epsilon(rows, ["ur5e"])
 
@@ -207,8 +217,13 @@ def test_each_step_of_a_run_starts_from_whole_steps(tmp_path):
     with folder.step(1, None) as ledger:  # killed before its row was written: done again from the same start
         assert ledger.read_text() == "one"
         ledger.write_text("two again")
-    folder.tidy(2)
-    assert [path.name for path in folder.path.iterdir()] == ["after-0002"]
+    with folder.step(2, None) as ledger:
+        ledger.write_text("three")
+    folder.tidy(3)
+    assert sorted(path.name for path in folder.path.iterdir()) == ["after-0002", "after-0003"]
+    with folder.step(2, None) as ledger:  # killed after it was tidied up, before its last row was written
+        assert ledger.read_text() == "two again"
+        ledger.write_text("three")
     assert (folder.after(2) / "ledger.sqlite").read_text() == "two again"
 
 

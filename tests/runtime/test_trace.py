@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.errors import UnknownName
+from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.trace import BLOCK, Trace, columns, spans
 
 from .ticks import Answer, fill
@@ -87,6 +88,11 @@ def test_spans_cover_every_tick_once(codes: list[int]) -> None:
     found = spans(np.array(codes, float), np.arange(len(codes)) * 0.1)
     assert [code for span in found for code in [span.code] * (span.last - span.first + 1)] == codes
     assert all(a.end == b.start and a.code != b.code for a, b in pairwise(found))
+
+
+def test_the_outcome_of_a_contract_counts_such_ticks_alike() -> None:
+    outcome = FlightLog(_of([np.nan, 0.0], [np.nan, np.nan], [0, 0])).outcome("failed", "", 0, ())
+    assert (outcome.Delta, outcome.delta_peak, outcome.intervention_frequency, outcome.h_min) == (1.0, 2.0, 0.5, None)
 
 
 def test_interventions_lie_above_the_dead_band() -> None:

@@ -24,11 +24,13 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """D_clean = {i : valid, r_i = 1, Δ_i ≤ ε}, of memories that are believed, and not much slower than their kind.
 
     `epsilon` is the memory's own ε. `slowest` is how many times the median duration of the successes of its family
-    (its skills in order) an episode may take; dawdling keeps Δ low and must not be learnt.
+    (its skills in order) an episode may take; dawdling keeps Δ low and must not be learnt. Without `physical` nothing
+    is selected by what came of it: all that was proposed and is valid (an ablation, paper 7.4).
     """
 
     epsilon: float = EPSILON
     slowest: float = 1.5
+    physical: bool = True
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for an ε below 0 or a limit that would leave out the median."""
@@ -51,11 +53,13 @@ def select(
     left_out = defaultdict[str, list[str]](list)
     good: list[Candidate] = []
     for one in found:
-        asked_to = one.memo.kind == "declined" and one.memo.id in declines
-        if reason := _why_not(one, registry, rules, declines=asked_to) or _refused(one, registry, gate):
+        proved = not rules.physical or (one.memo.kind == "declined" and one.memo.id in declines)
+        if reason := _why_not(one, registry, rules, proved=proved) or _refused(one, registry, gate):
             left_out[reason].append(one.memo.id)
         else:
             good.append(one)
+    if not rules.physical:
+        return good, dict(left_out)
     limits = _limits(good, rules.slowest)
     for one in good:
         if one.duration > limits[one.family]:
@@ -63,20 +67,20 @@ def select(
     return [one for one in good if one.duration <= limits[one.family]], dict(left_out)
 
 
-def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, declines: bool) -> str:
+def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, proved: bool) -> str:
     """The first rule that excludes `one` by what the ledger says of it; "" if none does.
 
-    One that rightly `declines` needs no success and has no Δ, for nothing moved.
+    What needs no proof (`proved`) needs no success and no Δ: a right decline moves nothing.
     """
     memo = one.memo
     checks = (
         (memo.robot == registry.robot, "of another robot"),
         (memo.status == "active", f"{memo.status} in memory"),
-        (declines or memo.kind == "succeeded", f"outcome {memo.kind}"),
+        (proved or memo.kind == "succeeded", f"outcome {memo.kind}"),
         (memo.registry == registry.hash, "of another registry"),
         (one.filtered, "flown without the safety filter"),
         (bool(one.instruction.strip()), "without an instruction"),
-        (declines or _quiet(memo.Delta, rules.epsilon), f"Δ above {rules.epsilon:g}"),
+        (proved or _quiet(memo.Delta, rules.epsilon), f"Δ above {rules.epsilon:g}"),
         (math.isfinite(one.duration), "without a duration"),
     )
     return next((reason for holds, reason in checks if not holds), "")

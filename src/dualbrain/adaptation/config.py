@@ -40,8 +40,9 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `steps` optimiser steps of `batch` samples, `at_once` of them in one forward pass. The rate rises to `rate` over
     `warm_up` steps and falls along a cosine to a tenth of it. `clip` bounds the norm of the gradient. `rank` and
     `alpha` are LoRA's r and α. Every `save_every` steps a checkpoint is written, and the held-out part is asked (at
-    most `ask_at_most` questions); after `patience` rounds without progress it stops. `precision` "auto" is bf16 where
-    the device multiplies in it, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
+    most `ask_at_most` questions); after `patience` rounds without progress it stops. `keep` the best of them, or the
+    last, whatever it is, after all steps. `precision` "auto" is bf16 where the device multiplies in it, else float32.
+    `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
     """
 
     steps: int = 120
@@ -55,6 +56,7 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     save_every: int = 20
     ask_at_most: int = 24
     patience: int = 3
+    keep: Literal["best", "last"] = "best"
     seed: int = 0
     threads: int = 0
     precision: Literal["auto", "float32", "bfloat16"] = "auto"

@@ -16,6 +16,8 @@ from dualbrain.cli.folders import cache, home
 from dualbrain.errors import InvalidSetup, MissingPart, WrongUsage
 
 Flag = Annotated[bool, Parameter(negative="")]
+BEFORE_ALL = ("pilot", "start")
+"""Passes that others cannot do without; an answer that is missing from the plan pass is asked for in flight."""
 GUESS_S = 8.0
 """Wall time of an episode that nobody has measured yet [s]."""
 GUESS_PLAN_S = 20.0
@@ -147,7 +149,7 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     sources = Sources(cache(), adapters, os.environ.get("OPENAI_API_KEY", ""))
     whole = False
     try:
-        whole = all(_stage(runner, stage, sources, jobs) for stage in (STAGES[:-1] if plan_only else STAGES))
+        whole = _passes(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
     finally:  # also after Ctrl-C: what was flown so far can be read
         rows = runner.rows()
         if rows:
@@ -159,6 +161,16 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     if as_json:
         answer(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": whole}).decode())
     return Exit.SUCCESS if whole else Exit.FAILED_SAFELY
+
+
+def _passes(runner: Any, stages: Any, sources: Any, jobs: int) -> bool:
+    """One pass after another; whether all are over."""
+    whole = True
+    for stage in stages:
+        whole = _stage(runner, stage, sources, jobs) and whole
+        if not whole and stage in BEFORE_ALL:
+            break
+    return whole
 
 
 def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:

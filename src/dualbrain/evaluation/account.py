@@ -16,10 +16,10 @@ from dualbrain.evaluation.door import MethodDoor
 from dualbrain.evaluation.failure import Stages, failure_class
 from dualbrain.evaluation.flight import ASIDE, OUT_OF_TIME, PARTS, Flight
 from dualbrain.evaluation.method import Method
+from dualbrain.evaluation.plans import is_accident
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
 from dualbrain.planner.asking import FREE_BY
-from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP
 from dualbrain.records import Episode, Proposal
 from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.storable import storable
@@ -116,9 +116,9 @@ def _free(case: Case, door: MethodDoor, first: Proposal | None) -> dict[str, Any
     Where none came (the engine broke, or time ran out) nothing was measured, which says nothing against the model.
     """
     verdict, answer = door.free, door.aside
-    if verdict is None and first is not None and first.constrained_by.startswith(FREE_BY):
+    if verdict is None and door.strict and first is not None and first.constrained_by.startswith(FREE_BY):
         verdict, answer = door.strict[0], first
-    if verdict is None or answer is None or answer.finish_reason not in (STOP, LENGTH, REFUSAL):
+    if verdict is None or answer is None or is_accident(answer):
         return {"free_answer": [], "free_stage": "", "free_compliant": None}
     text = [storable(answer.text), answer.finish_reason]
     return {"free_answer": text, "free_stage": _stage(verdict), "free_compliant": _compliant(case, [verdict])}
@@ -151,10 +151,11 @@ def _unreadable(episode: Episode) -> bool:
 
 
 def _success(case: Case, episode: Episode, *, moved: bool) -> bool:
-    """On truth; where nothing is to be done, success is that nothing moved."""
+    """On truth and in time; where nothing is to be done, success is that nothing moved."""
     if case.goal is None:
         return not moved
-    return bool(moved and episode.judgement and episode.judgement.success)
+    late = episode.outcome.reason.startswith(OUT_OF_TIME)
+    return bool(moved and not late and episode.judgement and episode.judgement.success)
 
 
 def _progress(episode: Episode) -> float:

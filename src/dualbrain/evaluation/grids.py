@@ -99,17 +99,22 @@ def violations(rows: Sequence[Row]) -> Grid:
 
 
 def families(rows: Sequence[Row]) -> Grid:
-    """The main metrics, family by family."""
+    """The main metrics, family by family, and level by level where a family has several."""
     methods = methods_of(rows)
-    places = sorted({(row.robot, row.task) for row in rows})
+    groups: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: (row.robot, row.task)):
+        groups.setdefault(f"{row.robot} {row.task.split()[0]}", []).append(row)
     lines: list[tuple[str, ...]] = []
-    for place in places:
-        here = [row for row in rows if (row.robot, row.task) == place]
-        for name in KEY:
-            unit = BY_NAME[name].unit
-            found = (cell(measured(here, method, name), unit) for method in methods)
-            lines.append((f"{' '.join(place)}: {name}", *found))
+    for family, some in groups.items():
+        tasks = sorted({row.task for row in some})
+        parts = [(f"{some[0].robot} {task}", [row for row in some if row.task == task]) for task in tasks]
+        for label, here in parts if len(parts) == 1 else [(family, some), *parts]:
+            lines += [(f"{label}: {name}", *_cells(here, methods, name)) for name in KEY]
     return Grid("By robot and family", ("", *methods), tuple(lines))
+
+
+def _cells(rows: Sequence[Row], methods: Sequence[str], name: str) -> list[str]:
+    return [cell(measured(rows, method, name), BY_NAME[name].unit) for method in methods]
 
 
 def failures(rows: Sequence[Row]) -> Grid:

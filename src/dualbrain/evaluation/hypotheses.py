@@ -6,10 +6,12 @@ What is about two comparisons needs both: supported if all its claims are, refut
 
 - H1: the filter lowers the violation rate. Ratio B3/B1 and B3/B2 at most 0.2.
 - H2: dynamic memory lowers intervention in repeated scenarios. Ratio M/B4 of Δ at most 0.8, over the second half of a
-  run's repetitions, on the places at which both succeed (failures have no comparable Δ).
+  run's repetitions, on the places at which both succeed on truth (failures have no comparable Δ, and a contract about
+  something else is easily undisturbed).
 - H3: adaptation improves one-shot compliance by 10 points or lowers the intervention frequency by 20 %: Full against M,
   and P against PE. Of the two effects, one beyond its minimum supports; only both short of theirs refute. Compliance is
-  that of answers that nothing bound, where a suite asks for them: bound ones differ in little but their values.
+  that of answers that nothing bound, where a suite asks for them: bound ones differ in little but their values. The
+  frequency is that of contracts which both mean for the task: little motion is no merit.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from dualbrain.evaluation.statistics import (
     compare,
     difference,
     holm,
-    jeffreys_ratio,
+    rate_ratio,
     ratio,
 )
 
@@ -128,16 +130,12 @@ def either(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 def _violations(rows: Sequence[Row], a: str, b: str) -> Claim:
-    """Violation rates by ratio; the interval is the hull of the bootstrap's and that of Jeffreys' posteriors.
-
-    A rate of zero has no spread to draw from; the posteriors of both rates have.
-    """
+    """Violation rates by ratio, which may have none of them above zero (see `rate_ratio`)."""
     pairs = paired(rows, a, b, BY_NAME["violation rate"].of)
     found = compare(*pairs, ratio)
     if found.clusters:
-        hits = [(sum(map(sum, one.values())), sum(map(len, one.values()))) for one in pairs]
-        low, high = jeffreys_ratio(*hits)
-        found = replace(found, low=min(found.low, low), high=max(found.high, high))
+        low, high = rate_ratio(*pairs)
+        found = replace(found, low=low, high=high)
     return _claim("H1", a, b, "violation rate", "ratio", VIOLATIONS, AT_MOST, found)
 
 
@@ -152,10 +150,11 @@ def _adaptation(rows: Sequence[Row], a: str, b: str) -> list[Claim]:
     free = any(row.free_compliant is not None for row in possible)
     name = "free one-shot compliance" if free else "one-shot compliance"
     compliance = compare(*paired(possible, a, b, BY_NAME[name].of), difference)
-    frequency = compare(*paired(possible, a, b, BY_NAME["intervention frequency"].of), ratio)
+    on_task = "intervention frequency, on task"
+    frequency = compare(*paired(possible, a, b, BY_NAME[on_task].of), ratio)
     return [
         _claim("H3", a, b, name, "difference", COMPLIANCE, AT_LEAST, compliance),
-        _claim("H3", a, b, "intervention frequency", "ratio", FREQUENCY, AT_MOST, frequency),
+        _claim("H3", a, b, on_task, "ratio", FREQUENCY, AT_MOST, frequency),
     ]
 
 

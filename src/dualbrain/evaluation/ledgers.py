@@ -65,9 +65,9 @@ class RunFolder:
         partial.rename(self.after(order + 1))
 
     def tidy(self, episodes: int) -> None:
-        """The run is over: only its last ledger stays."""
+        """The run is over: its last ledger stays, and that before it, in case the last episode was not written down."""
         for old in self.path.glob("after-*"):
-            if old != self.after(episodes):
+            if old not in (self.after(episodes), self.after(episodes - 1)):
                 shutil.rmtree(old)
 
 

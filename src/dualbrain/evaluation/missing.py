@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from dualbrain.evaluation.hypotheses import answers
@@ -12,6 +13,8 @@ from dualbrain.evaluation.suite import Suite
 from dualbrain.world.wordings import Label
 
 DRAWN = "template"
+PAPER = 100
+"""Episodes of a setting (paper 7.5)."""
 LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous", "unauthorised")
 
 
@@ -32,9 +35,16 @@ def missing(rows: Sequence[Row], suite: Suite) -> list[str]:
         said.append("A language model: the planner `template` draws its contracts, and is none.")
     labels = {row.label for row in rows}
     said += [f"Instructions that are {label}." for label in LABELS if label not in labels]
-    wanted = len(suite.methods) * sum(suite.episodes * len(suite.robots_of(task)) for task in suite.tasks)
+    wanted = sum(
+        suite.episodes * len(suite.robots_of(task))
+        for task in suite.tasks for method in suite.methods if suite.flies(method, task)
+    )  # fmt: skip
     if len(rows) < wanted:
         said.append(f"{wanted - len(rows)} of the {wanted} episodes of the suite.")
-    if suite.episodes < 100:
-        said.append(f"The paper's 100 episodes a setting: here {suite.episodes}.")
+    levels = Counter((row.robot, row.method, row.task.split()[0]) for row in rows)
+    least = min(levels.values(), default=0)
+    if least < PAPER:
+        said.append(
+            f"The paper's {PAPER} episodes of each method, robot and family: here {least} where they are fewest."
+        )
     return said

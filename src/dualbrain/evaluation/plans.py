@@ -15,7 +15,8 @@ from tempfile import NamedTemporaryFile
 
 import msgspec
 
-from dualbrain.planner.protocol import LENGTH, STOP, Planner
+from dualbrain.errors import DualbrainError
+from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -26,6 +27,21 @@ class Kept(msgspec.Struct, frozen=True):
     planner: str
     question: str
     proposal: Proposal
+
+
+class Accident(DualbrainError):
+    """A question got no answer: the engine broke, or time ran out. That says nothing of who was asked."""
+
+
+def is_accident(proposal: Proposal) -> bool:
+    """Whether `proposal` stands for a crash, a timeout or a server's error, and not for an answer or a refusal."""
+    return proposal.finish_reason not in (STOP, LENGTH, REFUSAL)
+
+
+def refuse_accident(proposal: Proposal) -> None:
+    """Raise `Accident` if `proposal` is the mark of one."""
+    if is_accident(proposal):
+        raise Accident(f"{proposal.planner} gave no answer: {proposal.finish_reason}")
 
 
 class Plans:
@@ -41,8 +57,8 @@ class Plans:
         return msgspec.json.decode(path.read_bytes(), type=Kept).proposal if path.exists() else None
 
     def keep(self, planner: str, request: PlanRequest, proposal: Proposal) -> None:
-        """Keep `proposal`, unless it is the mark of an accident (a crash, a timeout): that is asked again."""
-        if proposal.finish_reason not in (STOP, LENGTH):
+        """Keep `proposal`, unless it is the mark of an accident: that is asked again."""
+        if is_accident(proposal):
             return
         path = self._path(planner, request)
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.unit import Stage, Unit, units_of
+from dualbrain.runtime.trace import DEAD_BAND
 
 CONFIG, EPSILON, ERRORS = "config.json", "epsilon.json", "errors"
 GROWING = ("methods", "planners", "adapters")
@@ -126,14 +127,17 @@ def rows_of(lines: Iterable[dict[str, Any]]) -> list[Row]:
 
 
 def pilot_epsilon(rows: list[Row], robots: Iterable[str]) -> dict[str, float]:
-    """By robot, the median Δ of the pilot's successes (design 5); raises `InvalidSetup` where there is none."""
+    """By robot, the median Δ of the pilot's successes (design 5); raises `InvalidSetup` where there is none.
+
+    It is not below the dead band, which is all that counts as no intervention.
+    """
     found: dict[str, float] = {}
     for robot in robots:
-        sizes = [row.Delta for row in rows if row.robot == robot and row.claimed and row.Delta is not None]
+        sizes = [row.Delta for row in rows if row.robot == robot and row.success and row.Delta is not None]
         if not sizes:
             fix = "Fly more pilot episodes, or state epsilon."
             raise InvalidSetup(f"pilot of {robot}", got="no success", allowed="at least one", fix=fix)
-        found[robot] = median(sizes)
+        found[robot] = max(median(sizes), DEAD_BAND)
     return found
 
 

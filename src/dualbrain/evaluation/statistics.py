@@ -54,20 +54,30 @@ def estimate(values: Clusters, *, share: bool = False, seed: int = 0) -> Estimat
 
 def _interval(draws: Array, flat: Array, clusters: int, *, share: bool) -> tuple[float, float]:
     if clusters > 1 and not (share and flat.std() == 0.0):
-        return percentiles(draws)
+        return percentiles(draws, clusters)
     return jeffreys(int(flat.sum()), len(flat)) if share else (-np.inf, np.inf)
 
 
 def _draws(clusters: Sequence[Array], seed: int) -> Array:
     """Means of resampled clusters, (RESAMPLES,)."""
+    sums, counts = _resampled(clusters, seed)
+    return sums / counts
+
+
+def _resampled(clusters: Sequence[Array], seed: int) -> tuple[Array, Array]:
+    """Sums and counts of resampled clusters, each (RESAMPLES,)."""
     sums, counts = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
     chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(RESAMPLES, len(clusters)))
-    return sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
+    return sums[chosen].sum(axis=1), counts[chosen].sum(axis=1)
 
 
-def percentiles(draws: Array) -> tuple[float, float]:
-    """The 95 % interval of bootstrap draws."""
-    tail = 50.0 * (1.0 - LEVEL)
+def percentiles(draws: Array, n: int) -> tuple[float, float]:
+    """The 95 % interval of bootstrap draws from `n` things: percentiles, expanded for few (Hesterberg 2015, 4.3).
+
+    Instead of α/2 the tails are Φ(−sqrt(n/(n−1)) t_{1−α/2, n−1}); plain percentiles of ten things cover some 89 %.
+    """
+    wide = np.sqrt(n / (n - 1)) * stats.t(n - 1).ppf(0.5 * (1.0 + LEVEL))
+    tail = 100.0 * float(stats.norm.cdf(-wide))
     low, high = np.nanpercentile(draws, (tail, 100.0 - tail))
     return float(low), float(high)
 
@@ -79,11 +89,18 @@ def jeffreys(hits: int, n: int) -> tuple[float, float]:
     return (0.0 if hits == 0 else low), (1.0 if hits == n else high)
 
 
-def jeffreys_ratio(a: tuple[float, int], b: tuple[float, int], *, seed: int = 0) -> tuple[float, float]:
-    """The 95 % interval of the ratio of two shares, each (hits, n), from draws of Jeffreys' posteriors."""
-    rng = np.random.default_rng(seed)
-    draws = [rng.beta(hits + 0.5, n - hits + 0.5, size=40_000) for hits, n in (a, b)]
-    return percentiles(draws[0] / draws[1])
+def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float]:
+    """The 95 % interval of the ratio of two shares on the same clusters, either of which may be 0.
+
+    Clusters are drawn, and of what was drawn each share from its Jeffreys posterior: the draws differ by scene as much
+    as the data do, and a share of 0 still has the spread that so many episodes leave it.
+    """
+    rng, shares = np.random.default_rng([seed, 1]), list[Array]()
+    names = sorted(a.keys() & b.keys())
+    for one in (a, b):
+        hits, counts = _resampled([np.array(one[name], float) for name in names], seed)
+        shares.append(rng.beta(hits + 0.5, counts - hits + 0.5))
+    return percentiles(shares[0] / shares[1], len(names)) if len(names) > 1 else (0.0, np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +130,7 @@ def compare(a: Clusters, b: Clusters, how: Callable[[Array, Array], Array], *, s
     draws = how(_draws(ours, seed), _draws(theirs, seed))  # the same seed and count: the same clusters
     whole = how(*(np.array([np.concatenate(one).mean()]) for one in (ours, theirs)))
     difference = np.array([x.mean() - y.mean() for x, y in zip(ours, theirs, strict=True)])
-    low, high = percentiles(draws) if len(names) > 1 else (-np.inf, np.inf)
+    low, high = percentiles(draws, len(names)) if len(names) > 1 else (-np.inf, np.inf)
     sd = float(difference.std(ddof=1)) if len(names) > 1 else 0.0
     return Compared(
         float(whole[0]), low, high, sign_flip(difference, seed=seed), signed_rank(difference),

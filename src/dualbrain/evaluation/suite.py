@@ -29,6 +29,7 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ask: Ask = "errand"
     wordings: Literal["all", "held_out"] = "all"
     robots: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -91,6 +92,10 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
         return task.robots or tuple(robot for robot in self.robots if task.family in families_of(robot))
 
+    def flies(self, method: str, task: Task) -> bool:
+        """Whether `method` flies `task`: every one does, unless the task names its own."""
+        return not task.methods or method in task.methods
+
 
 def is_due(every: int, repetition: int) -> bool:
     """Whether what is done every so many-th repetition, or never (0), is done in this one: the same for all methods."""
@@ -151,6 +156,8 @@ def _check_tasks(suite: Suite) -> None:
     if len({task.name for task in suite.tasks}) < len(suite.tasks):
         raise InvalidSetup(f"tasks of suite {suite.name}", got=[t.name for t in suite.tasks], allowed="each once")
     for task in suite.tasks:
+        for method in task.methods:
+            find_method(method)
         for robot in suite.robots_of(task):
             if task.family not in families_of(robot):
                 raise UnknownName("family", task.family, families_of(robot), owner=robot)

@@ -59,17 +59,18 @@ def units_of(suite: Suite, stage: Stage) -> list[Unit]:
         for run in range(suite.runs)
         for place in places
         for arm in arms
+        if suite.flies(arm.name, place[0])
         for unit in _of_run(suite, stage, place, arm, run)
     ]
 
 
 def _asking(suite: Suite) -> list[Method]:
     """One arm for each planner and prompt whose answers can be had beforehand: those that need no memory."""
-    found: dict[tuple[str, str], Method] = {}
+    found: dict[tuple[str, str, str], Method] = {}
     for arm in suite.arms:
         name = planner_name(suite, arm)
         if not arm.remembers and name not in DRAWN:
-            found.setdefault((name, arm.spoiled), arm)
+            found.setdefault((name, arm.asks, arm.spoiled), arm)
     return list(found.values())
 
 

@@ -19,7 +19,7 @@ from dualbrain.evaluation.flown_once import FlownOnce
 from dualbrain.evaluation.ledgers import RunFolder, memory_at, plain, rule, when
 from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.planners import DRAWN, Planners, Sources, planner_name
-from dualbrain.evaluation.plans import KeepingPlanner, Plans
+from dualbrain.evaluation.plans import KeepingPlanner, Plans, refuse_accident
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite, is_due
 from dualbrain.evaluation.unit import Unit
@@ -78,7 +78,8 @@ class Work:
                 yield self._with_ledger(unit, method, case, order)
             else:
                 place = Place(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
-                yield _line(self._flown_once(case, method, place))
+                row = self._flown_once(case, method, place) if unit.stage == "fly" else self._flown(case, method, place)
+                yield _line(row)
         if unit.stage != "plan" and (unit.stage == "start" or method.remembers):
             self._folder(unit).tidy(unit.count)
 
@@ -90,24 +91,30 @@ class Work:
         known = self._once.find(case, method, id, place.key)
         if known is not None:
             return known
-        row = self._flown(case, method, place, None)
+        row = self._flown(case, method, place, extras=True)
         self._once.keep(case, method, id, row)
         return row
 
-    def _flown(self, case: Case, method: Method, place: Place, memory: Memory | None) -> Row:
-        planner = self._planners.of(method, case.robot)
+    def _flown(
+        self, case: Case, method: Method, place: Place, memory: Memory | None = None, *, extras: bool = False
+    ) -> Row:  # fmt: skip
+        """An episode, with `extras` also what is only measured beside it, in the repetitions in which that is due.
+
+        Raises `Accident` if a question got no answer: the unit is tried again by the next start.
+        """
+        planner, suite, k = self._planners.of(method, case.robot), self._suite, case.repetition
         before = planner.asked
         means = self._means(place, planner, memory)
-        if is_due(self._suite.free, case.repetition):
+        if extras and is_due(suite.free, k):
             means = replace(means, unbound=self._planners.unbound(method, case.robot))
         flight = fly(case, method, means)
-        if memory is not None and method.remembers and is_due(self._suite.memory.utility, case.repetition):
+        for attempt in flight.episode.attempts:
+            refuse_accident(attempt.proposal)
+        place = replace(place, asked=planner.asked > before and planner_name(suite, method) not in DRAWN)
+        if extras and memory is not None and method.remembers and is_due(suite.memory.utility, k):
             flight = self._with_uses(flight, planner, case)
-        alone = method.guard and is_due(self._suite.bare, case.repetition)
-        place = replace(
-            place, asked=planner.asked > before and planner_name(self._suite, method) not in DRAWN,
-            lost_s=seconds_lost(case, flight, self._at.clock) if alone else None,
-        )  # fmt: skip
+        if extras and method.guard and is_due(suite.bare, k):
+            place = replace(place, lost_s=seconds_lost(case, flight, self._at.clock))
         if memory is not None:
             epsilon = self._at.epsilon[case.robot] * method.epsilon_factor
             place = replace(place, memories=len(memory), ledger=memory.ledger.head().hash, epsilon=epsilon)
@@ -147,7 +154,7 @@ class Work:
             self._folder(unit).step(order, self._start(unit)) as ledger,
             memory_at(ledger, unit.robot, self._encoder, plasticity, now) as memory,
         ):
-            return _line(self._flown(case, method, place, memory))
+            return _line(self._flown(case, method, place, memory, extras=unit.stage == "fly"))
 
     def _folder(self, unit: Unit) -> RunFolder:
         return RunFolder(self._at.out / (STARTS if unit.stage == "start" else RUNS) / plain(unit.key))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.robot import RobotState
 from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scene
 from dualbrain.runtime.recorder import Recorder
-from dualbrain.runtime.trace import DEAD_BAND, Event, EventKind, Trace
+from dualbrain.runtime.trace import DEAD_BAND, WHOLE, Event, EventKind, Trace
 from dualbrain.safety.filter import Filtered
 from dualbrain.safety.rows import Row
 
@@ -95,6 +95,7 @@ class FlightLog:
         if kind == "declined" or not len(chosen):
             return Outcome(kind, reason, actions=actions)
         delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
+        delta = np.nan_to_num(delta, nan=WHOLE)
         h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
         return Outcome(
             kind, reason,

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 STATUSES = ("SAFE", "MODIFIED", "RELAXED", "STOPPED", "FAULT")
 """Names of the filter's status codes 0..4."""
 
+WHOLE = 2.0
+"""δ of an intervention that leaves nothing of what was asked, and of a tick whose δ could not be computed."""
 DEAD_BAND = 1e-4
 """δ at or below this counts as no intervention: the kernel's rounding in float32, 0.01 % of full speed."""
 
@@ -230,14 +232,14 @@ class Trace:
     def summary(self, action: int | None = None, dead_band: float = DEAD_BAND) -> Summary:
         """Δ(τ) = mean δ_t, its sum and peak, the share of ticks with δ_t above `dead_band`, and the least h [m].
 
-        Over all ticks, or over those of one `action`. δ counts NaN as full intervention (2), h as −inf: what was not
+        Over all ticks, or over those of one `action`. δ counts NaN as full intervention, h as −inf: what was not
         computed was not safe.
         """
         chosen = np.ones(len(self), bool) if action is None else self["action"] == action
         if not chosen.any():
             return Summary(0, 0.0, None, 0.0, 0.0, 0.0, None)
         t = self["t"][chosen]
-        delta = np.nan_to_num(self["delta"][chosen], nan=2.0)
+        delta = np.nan_to_num(self["delta"][chosen], nan=WHOLE)
         h = np.nan_to_num(self["h_min"][chosen], nan=-np.inf, posinf=np.inf, neginf=-np.inf)
         frequency = float(np.mean(delta > dead_band))
         mean, total, peak = float(delta.mean()), float(delta.sum()), float(delta.max())

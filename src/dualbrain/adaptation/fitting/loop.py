@@ -159,7 +159,7 @@ class Fit:
             found = self._team.once(lambda: HeldOut(self.step, self._compliance(), self._held_out_loss()))
             if not math.isfinite(found.loss):
                 raise Diverged(self.step, f"held-out loss ({found.loss})")
-            self.patience = self.patience.after(found)
+            self.patience = Patience(found) if self._config.fit.keep == "last" else self.patience.after(found)
         if found is None or self.patience.best == found:
             self._team.once(lambda: write_durably(self._folder / BEST, save(self._learner.adapter())))
         return found
