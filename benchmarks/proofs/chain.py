@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -36,7 +36,7 @@ from dualbrain.planner.asking import FREE
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.records import Episode
 from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.runtime.proposals import LEDGER, ROBOT, carried_out, declined, flown, proposals, turn_of
+from dualbrain.runtime.proposals import LEDGER, ROBOT, carried_out, declined, flown, memory_of, proposals, turn_of
 from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.steps import alone, carry_on
 from dualbrain.runtime.storable import storable
@@ -81,7 +81,7 @@ class Chain:
         with alone(folder):
             if not (folder / "adapter" / CARD).is_file():
                 if not (folder / "dataset" / DATASET_CARD).is_file():
-                    write_dataset(chosen(self.lived(number) / LEDGER), folder / "dataset")
+                    write_dataset(chosen(self.lived(number) / LEDGER, self.impossible(number)), folder / "dataset")
                 fit(read_dataset(folder / "dataset"), self.seed, folder)
         return folder / "adapter"
 
@@ -100,6 +100,11 @@ class Chain:
                 self.folder / f"proposed in round {last}", ASKED, propose, first=first, start=start,
                 cache=folders.cache(),
             )  # fmt: skip
+
+    def impossible(self, number: int) -> list[str]:
+        """The memories of what was asked for before round `number` and cannot be done: declines may teach there."""
+        asked = [one for last in range(number) for one in instructions(self.seed, last)]
+        return [memory_of(turn) for turn, one in enumerate(asked) if declined(one)]
 
     def taught(self, number: int) -> Row:
         """What the adapter of round `number` was taught, and what that cost."""
@@ -135,16 +140,26 @@ class Chain:
 # --- questions --------------------------------------------------------------------------------------------------------
 
 
+def one_goal(question: Sample) -> bool:
+    """Whether one thing is asked for, which takes two actions at most.
+
+    Of several the base does the first, and its body calls that a success: it would teach itself to stop there.
+    """
+    return question.contract.count('"skill":') <= 2
+
+
 @cache
 def places() -> tuple[Sample, ...]:
-    """Scenes and words of the held-out part, as they come: about one in eight is to be declined."""
-    return lessons(PLACES, "test", HELD_OUT_SEED, {ROBOT: 1.0}, exemplars=0.0)
+    """Scenes and words of the held-out part, as they come, with one goal; about one in eight is to be declined."""
+    drawn = lessons(2 * PLACES, "test", HELD_OUT_SEED, {ROBOT: 1.0}, exemplars=0.0)
+    return tuple(filter(one_goal, drawn))[:PLACES]
 
 
 @cache
 def instructions(seed: int, number: int) -> tuple[Sample, ...]:
-    """What the planner of a round is asked for in the chain of `seed`: deeds, in scenes and words that are taught."""
-    return proposals(FIRST_SEED + 10 * seed + number, ASKED)
+    """What the planner of a round is asked for in the chain of `seed`: one goal each, scenes and words of lessons."""
+    drawn = proposals(FIRST_SEED + 10 * seed + number, 2 * ASKED, declines=True)
+    return tuple(filter(one_goal, drawn))[:ASKED]
 
 
 @contextmanager
@@ -172,11 +187,11 @@ def said_by(question: Sample, text: str, name: str) -> Sample:
 # --- teaching ---------------------------------------------------------------------------------------------------------
 
 
-def chosen(ledger: Path) -> Dataset:
-    """D_clean of the ledger, in which only the model that is adapted has proposed anything."""
+def chosen(ledger: Path, declines: Sequence[str]) -> Dataset:
+    """D_clean of the ledger, in which only the model that is adapted has proposed anything, with right `declines`."""
     registry, dials = vocabulary(ROBOT), DIALS.curation
     with LedgerReader(ledger) as reader:
-        data = dataset_of(curate(reader, registry, dials), registry, dials)
+        data = dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)
     assert not proposed_by_others(data.card.sources, BASE), data.card.sources
     return data
 

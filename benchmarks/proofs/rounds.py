@@ -51,13 +51,13 @@ MEASURES: dict[str, Measure] = {
     "declined what must be": Measure(
         lambda one: one["outcome"] == "declined", lambda one: one["to_decline"], share=True
     ),
-    "Δ of successes": Measure(lambda one: one["Delta"], lambda one: one["outcome"] == "succeeded" and moved(one)),
+    "Δ of successes": Measure(lambda one: one["Delta"], lambda one: one["success"] and moved(one)),
     "intervention frequency": Measure(lambda one: one["frequency"], moved, digits=3),
     "time to completion [s]": Measure(
         lambda one: one["completion_s"], lambda one: one["success"] and moved(one), digits=1
     ),
 }
-"""As docs/evaluation.md has them: Δ counts where the robot says that it succeeded, time where it did."""
+"""As docs/evaluation.md has them: Δ and time count where it succeeded."""
 
 
 class Rounds:
@@ -65,7 +65,8 @@ class Rounds:
 
     name = "rounds"
     claim = (
-        f"{ROUNDS} rounds from {BASE}: {ASKED} proposals of the model itself at temperature {TEMPERATURE:g}, each "
+        f"{ROUNDS} rounds from {BASE}: {ASKED} proposals of the model itself at temperature {TEMPERATURE:g}, one goal "
+        "each, each "
         "carried out once, then fitted from the base on all that went well so far; before and after each, the same "
         f"{PLACES} held-out places: compliance, success, Δ, intervention, time."
     )

@@ -116,7 +116,10 @@ def test_nothing_that_is_held_out_is_ever_proposed_on(small):
     assert all(int(one.scene.rpartition(":")[2]) in SEEDS["test"] for one in apart)
     assert all(int(one.scene.rpartition(":")[2]) in SEEDS["teach"] for one in every)
     assert len({one.prompt[-1]["content"] for one in every}) == len(every)
-    assert not any(map(declined, every))
+    assert any(map(declined, every))
+    assert all(map(steps.one_goal, (*apart, *every)))
+    assert len(apart) == steps.PLACES
+    assert {len(some) for some in asked} == {steps.ASKED}
 
 
 @pytest.mark.slow
@@ -146,7 +149,7 @@ def test_what_somebody_else_proposed_teaches_nothing(tmp_path):
     others = [episode(f"e{i}", by=by, told=summary(number=i)) for i, by in enumerate(("base-135m", "templates"))]
     remember(tmp_path, others).close()
     with pytest.raises(AssertionError, match="templates"):
-        steps.chosen(tmp_path / room.LEDGER)
+        steps.chosen(tmp_path / room.LEDGER, ())
 
 
 @pytest.mark.parametrize("after", [9, 30, 75])
@@ -167,6 +170,12 @@ def test_rounds_may_be_asked_for_in_any_order(stage, tmp_path):
     assert (
         sorted(lived(tmp_path / "one", (2, 0)), key=lambda row: row["round"])[1] == lived(tmp_path / "other", (2,))[0]
     )
+
+
+def test_declines_may_teach_only_where_nothing_could_be_done(small, tmp_path):
+    every = [one for number in (0, 1) for one in steps.instructions(0, number)]
+    named = steps.Chain(0, tmp_path).impossible(2)
+    assert [declined(every[room.turn_of(name)]) for name in named] == [True] * sum(map(declined, every))
 
 
 def test_the_seconds_of_a_step_count_once(tmp_path):
@@ -210,7 +219,7 @@ def test_tables_come_from_the_rows_and_compare_the_same_places():
     assert "| 0 | 1 | 4 | 50% (0% to 100%), n = 4 |" in text
     assert "| 1 | 1 | 4 | 100% (" in text
     assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).startswith("-0.0010 (")
-    assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).endswith(", 2")
+    assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).endswith(", 1")  # only where both did it
     assert rounds.changed("declined what must be", ROWS[:1], ROWS[1:]).startswith("-100%")
     assert rounds.changed("time to completion [s]", ROWS[:1], ROWS[1:]) == "+0.0 (-inf to +inf), 1"
     assert "| 0 | 1 | 10 | 4 | 3 of 4 (" in text
