@@ -12,8 +12,10 @@ from dualbrain.cli.main import call
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.evaluation.changes import changes
+from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import cell, failures, families, methods_of, number, overview
+from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.report_tables import all_grids
@@ -69,6 +71,22 @@ def test_a_family_is_told_as_a_whole_and_level_by_level():
     shares = [lines[f"panda edge_rescue{part}: success"].split("%")[0] for part in ("", " I", " II")]
     assert shares == ["50.0 ", "100.0 ", "0.0 "]
     assert "panda edge_rescue: success" not in {line[0] for line in families(two[:3]).rows}
+
+
+def test_what_a_switch_does_is_asked_of_methods_that_differ_in_it_alone():
+    told = {(a, b): switch for switch, a, b in pairs(tuple(METHODS))}
+    assert told["G", "B3"] == "guard"
+    assert told["B4", "M"] == told["P", "Full"] == told["Full", "Full-static"] == "memory"
+    assert told["P", "PE"] == told["M", "Full"] == told["PE-shortened", "P-shortened"] == "asks"
+    assert ("B1", "B3") not in told
+    assert ("M", "P") not in told
+    rows = [
+        row(name, run, seed=run, success=name == "B3", guarded=name == "B3") for name in ("G", "B3") for run in range(9)
+    ]
+    lines = {line[2]: line for line in contrasts(rows).rows}
+    assert lines["success"][:2] + lines["success"][3:5] == ("guard", "B3 − G", "100.0 %", "[100.0 %, 100.0 %]")
+    assert float(lines["success"][5]) < 0.05
+    assert "Δ of successes" not in lines  # an arm without filter has none
 
 
 def test_failures_add_up(rows):

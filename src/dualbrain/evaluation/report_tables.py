@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from dualbrain.evaluation.contrasts import contrasts
 from dualbrain.evaluation.cost import cost_grid
 from dualbrain.evaluation.grids import Grid, failures, families, overview, throughput, verdicts, violations
 from dualbrain.evaluation.hypotheses import answers
@@ -14,7 +15,7 @@ from dualbrain.evaluation.row import Row
 def all_grids(rows: Sequence[Row], config: dict[str, Any]) -> tuple[Grid, ...]:
     """The verdicts first; the adapters' cost only where an adapter was asked."""
     found = (
-        verdicts(answers(rows)), overview(rows), violations(rows), families(rows), failures(rows),
+        verdicts(answers(rows)), overview(rows), violations(rows), families(rows), failures(rows), contrasts(rows),
         cost_grid(rows, config), throughput(rows),
     )  # fmt: skip
     return tuple(grid for grid in found if grid.rows)
