@@ -168,7 +168,11 @@ def day(folder: Path, seed: int) -> Path:
     deeds = flown(kept, FLIGHTS, wanted.__getitem__, cache=folders.cache())
     refused = [one for one in proposals(seed, REACHED, declines=True) if declined(one)]
     whole = kept.with_name(f"{kept.name}, {len(refused)} declines")
-    return flown(whole, len(refused), refused.__getitem__, cache=folders.cache(), first=FLIGHTS, start=deeds)
+
+    def propose(turn: int) -> Sample:
+        return refused[turn - FLIGHTS]
+
+    return flown(whole, len(refused), propose, cache=folders.cache(), first=FLIGHTS, start=deeds)
 
 
 def taught(folder: Path, *, clean: bool) -> Dataset:
