@@ -28,7 +28,7 @@ from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.adaptation.serving.speaking import say
 from dualbrain.cli import folders
 from dualbrain.contracts.schema import short_form
 from dualbrain.evaluation.prompted import with_example
@@ -53,7 +53,7 @@ from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
 from proofs.closed_loop import fly
 from proofs.figures import table
-from proofs.language import LONGEST, by_chance, judged, right
+from proofs.language import LONGEST, by_chance, judged, right, text_of
 from proofs.proof import Options, Row, Unit
 
 SEEDS, FLIGHTS, REACHED = range(3), 240, 280
@@ -240,8 +240,7 @@ def turns(one: Sample, prompt: Prompt) -> list[Message]:
 
 def answer(planner: LlamaPlanner, one: Sample, prompt: Prompt) -> str:
     """The greedy free answer."""
-    said = say(planner, turns(one, prompt), longest=LONGEST)
-    return said.text if isinstance(said, Said) else ""
+    return text_of(say(planner, turns(one, prompt), longest=LONGEST))
 
 
 def draw(planner: LlamaPlanner, one: Sample, chance: int, prompt: Prompt) -> bool:

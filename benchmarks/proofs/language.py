@@ -39,6 +39,14 @@ LONGEST = 400
 ADAPTER, BARE = "base-135m", "smollm2-135m-instruct"
 
 
+class NoAnswer(RuntimeError):
+    """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
+
+    def __init__(self, answer: Answer) -> None:
+        """Say what came instead."""
+        super().__init__(f"no answer: {answer.finish} {answer.detail}")
+
+
 class Language:
     """The base of the main table speaks."""
 
@@ -137,13 +145,19 @@ def speaker(name: str) -> LlamaPlanner:
 
 
 def free(planner: LlamaPlanner, question: Sample) -> str:
-    """The free answer; "" where there is none."""
-    said = say(planner, question.prompt, longest=LONGEST)
-    return said.text if isinstance(said, Said) else ""
+    """The free answer; raises `NoAnswer`."""
+    return text_of(say(planner, question.prompt, longest=LONGEST))
+
+
+def text_of(said: Said | Answer) -> str:
+    """The words of an answer; raises `NoAnswer`."""
+    if isinstance(said, Answer):
+        raise NoAnswer(said)
+    return said.text
 
 
 def by_chance(planner: LlamaPlanner, turns: Sequence[Mapping[str, object]], temperature: float, seed: int) -> str:
-    """A free answer drawn at `temperature` from the whole distribution; "" where there is none.
+    """A free answer drawn at `temperature` from the whole distribution; raises `NoAnswer`.
 
     Draws of one prompt share what was read of it: chance decides them, not a rounding.
     """
@@ -152,7 +166,9 @@ def by_chance(planner: LlamaPlanner, turns: Sequence[Mapping[str, object]], temp
         "top_k": 0, "top_p": 1.0, "min_p": 0.0, "cache_prompt": True,
     }  # fmt: skip
     told = planner.tell("/v1/chat/completions", body)
-    return "" if isinstance(told, Answer) else str(told["choices"][0]["message"].get("content") or "")
+    if isinstance(told, Answer):
+        raise NoAnswer(told)
+    return str(told["choices"][0]["message"].get("content") or "")
 
 
 def judged(question: Sample, text: str) -> dict[str, Any]:

@@ -15,13 +15,14 @@ from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.adaptation.serving.speaking import say
 from dualbrain.cli import folders
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.llama import LlamaConfig
 from dualbrain.weights import find_file, locate
 from proofs import adapt_curve
 from proofs.figures import share, table
+from proofs.language import text_of
 from proofs.proof import Options, Row, Unit
 
 BARE, BASE = "smollm2-135m-instruct", "base-135m"
@@ -69,7 +70,7 @@ class Retention:
             said = [say(planner, one, longest=LONGEST) for one in turns]
         finally:
             planner.close()
-        texts = [one.text if isinstance(one, Said) else "" for one in said]
+        texts = [text_of(one) for one in said]
         found = measured if isinstance(measured, float) else math.nan
         return {"arm": about["arm"], "seed": about["seed"], "perplexity": found, "texts": texts,
                 "right": list(map(known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
