@@ -1,6 +1,8 @@
 """Planners that are drawn, spoiled prompts, and answers that are kept."""
 
 import json
+import time
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -17,7 +19,9 @@ from dualbrain.evaluation.prompted import PromptedPlanner, with_example
 from dualbrain.evaluation.spoiled import SpoiledPlanner, spoil
 from dualbrain.evaluation.suite import read_suite
 from dualbrain.evaluation.template import TemplatePlanner, meant
-from dualbrain.planner.protocol import CRASHED
+from dualbrain.evaluation.unit import units_of
+from dualbrain.evaluation.work import Work, Workplace
+from dualbrain.planner.protocol import CRASHED, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.planner.short_prompt import render_short
@@ -112,6 +116,55 @@ def test_a_question_is_asked_once_by_any_process(tmp_path):
     assert [planner.propose(request()).text for planner in (one, one, two)] == ["first"] * 3
     assert (one.asked, two.asked, len(inner.asked)) == (1, 0, 1)
     assert two.propose(request(words="another question")).text == "second"
+
+
+class Crowd:
+    """A planner that is quicker when many ask; it notes how many asked together."""
+
+    name = "crowd"
+
+    def __init__(self):
+        self.asked = []
+
+    def propose(self, request):
+        return self.propose_all([request])[0]
+
+    def propose_all(self, requests):
+        self.asked.append([one.instruction for one in requests])
+        return [TemplatePlanner().propose(one) for one in requests]
+
+    def close(self):
+        pass
+
+
+def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_question(tmp_path):
+    crowd = Crowd()
+    sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
+    suite = msgspec.structs.replace(read_suite(SUITE, "tiny.toml"), planners={"base": "crowd"})
+    units = units_of(suite, "plan")
+    assert {unit.method for unit in units} == {"B1"}  # whose answers are those of all others without memory
+    work = Work(Workplace(suite, tmp_path, sources, time.perf_counter, {}))
+    unit = units[0]
+    first, *_ = lines = list(work(unit))
+    assert [line["key"] for line in lines] == [unit.row_key(order) for order in range(unit.count)]
+    assert {line["asked"] for line in lines} == {1}
+    assert [len(words) for words in crowd.asked] == [unit.count]
+    assert [line["asked"] for line in work(msgspec.structs.replace(unit, done=1))] == [0] * (unit.count - 1)
+    flying = next(one for one in units_of(suite, "fly") if one.method == "B1" and one.cluster == unit.cluster)
+    (row,) = work(flying)
+    assert not row["asked"]
+    assert len(crowd.asked) == 1
+    assert first["planner_s"] > 0.0
+
+
+@pytest.mark.parametrize("dress", [PromptedPlanner, lambda inner: SpoiledPlanner(inner, "truncated")])
+def test_what_is_done_to_one_question_is_done_to_many(dress):
+    crowd = Crowd()
+    questions = [request(words=words) for words in ("put the cube in the bowl", "take the glass")]
+    together = propose_all(dress(crowd), questions)
+    assert [len(words) for words in crowd.asked] == [2]
+    assert together == [dress(TemplatePlanner()).propose(one) for one in questions]
+    assert propose_all(TemplatePlanner(), questions) == [TemplatePlanner().propose(one) for one in questions]
 
 
 def test_another_planner_and_another_prompt_have_answers_of_their_own(tmp_path):

@@ -1,6 +1,7 @@
 """What a decoder is bound to: the schema without words for people, in keywords that decoders enforce."""
 
 import json
+from functools import cache
 
 import pytest
 
@@ -36,10 +37,31 @@ def test_shared_definitions_travel_along() -> None:
 
 def reads(grammar: str, text: str) -> bool:
     """Whether LLGuidance takes `text` for a whole answer, byte by byte."""
+    matcher = _matcher(grammar)
+    matcher.reset()
+    return matcher.try_consume_tokens(list(text.encode())) == len(text.encode()) and matcher.is_accepting()
+
+
+@cache
+def _matcher(grammar: str):
     llguidance = pytest.importorskip("llguidance", reason="the extra `adapt` is not installed")
     matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", _lark(grammar)))
     assert not matcher.is_error(), matcher.get_error()
-    return matcher.try_consume_tokens(list(text.encode())) == len(text.encode()) and matcher.is_accepting()
+    return matcher
+
+
+BOUNDS = ((0.03, 0.35), (0.02, 0.085), (-0.755, 0.855), (1.5, 3.1416), (0.05, 0.4))
+
+
+@pytest.mark.parametrize(("lower", "upper"), BOUNDS)
+def test_every_number_between_bounds_may_be_written_as_contracts_write_it(lower: float, upper: float) -> None:
+    one = {"type": "number", "minimum": lower, "maximum": upper}
+    grammar = contract_grammar({"type": "object", "properties": {"x": one}, "required": ["x"]})
+    places = 3
+    numbers = [round(lower, places) + k * 10**-places for k in range(int((upper - lower) * 10**places) + 2)]
+    texts = {f"{number:.{places}f}".rstrip("0").rstrip(".") for number in numbers if number}
+    wrong = [text for text in sorted(texts) if reads(grammar, f'{{"x":{text}}}') != (lower <= float(text) <= upper)]
+    assert not wrong
 
 
 def _lark(grammar: str) -> str:

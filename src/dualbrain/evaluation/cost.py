@@ -10,7 +10,7 @@ import msgspec
 
 from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card
 from dualbrain.adaptation.adapters import Adapters
-from dualbrain.adaptation.serving.names import folder_of, is_adapter
+from dualbrain.adaptation.serving.names import folder_of, is_adapter, without_engine
 from dualbrain.evaluation.grids import NONE, Grid, cell, measured
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.row import Row
@@ -32,8 +32,8 @@ class Cost(msgspec.Struct, frozen=True):
 def costs(suite: Suite, adapters: Path, robot: str) -> dict[str, Cost]:
     """By part of the suite (`adapted`, …): what its adapter took; parts without an adapter are left out."""
     found: dict[str, Cost] = {}
-    for part, name in suite.planners.items():
-        if is_adapter(name):
+    for part, planner in suite.planners.items():
+        if is_adapter(name := without_engine(planner)):
             folder = folder_of(name, Adapters(adapters), robot)
             found[part] = _cost(read_adapter_card(folder), (folder / WEIGHTS).stat().st_size)
     return found

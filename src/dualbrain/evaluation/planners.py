@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dualbrain.adaptation.serving.names import is_adapter
+from dualbrain.adaptation.serving.names import is_adapter, without_engine
 from dualbrain.adaptation.serving.opening import open_planner, open_unbound, unbinds
 from dualbrain.evaluation.adversary import Adversary
 from dualbrain.evaluation.method import Method
@@ -91,4 +91,4 @@ class Planners:
 
 def _prompted(method: Method, name: str) -> bool:
     """Whether worked examples are shown: a full prompt has them, the short one of an adapter has not."""
-    return method.asks == "prompted" and is_adapter(name)
+    return method.asks == "prompted" and is_adapter(without_engine(name))

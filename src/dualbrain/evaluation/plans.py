@@ -9,14 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
 import msgspec
 
 from dualbrain.errors import DualbrainError
-from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP, Planner
+from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP, Planner, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -102,14 +102,20 @@ class KeepingPlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The kept answer, or a fresh one."""
-        kept = self._plans.find(self.id, request)
-        if kept is not None:
-            return kept
+        return self._plans.find(self.id, request) or self.fill([request])[0]
+
+    def fill(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        """Ask `requests` afresh, side by side where the planner can do that, and keep the answers."""
         self._planner = self._planner or self._open()
-        self.asked += 1
-        proposal = self._planner.propose(request)
-        self._plans.keep(self.id, request, proposal)
-        return proposal
+        self.asked += len(requests)
+        proposals = propose_all(self._planner, requests)
+        for request, proposal in zip(requests, proposals, strict=True):
+            self._plans.keep(self.id, request, proposal)
+        return proposals
+
+    def knows(self, request: PlanRequest) -> bool:
+        """Whether the answer was kept."""
+        return self._plans.find(self.id, request) is not None
 
     def close(self) -> None:
         """Close the planner if it was opened."""

@@ -7,10 +7,12 @@ it. More of them do harm: with a refusal among the examples it refuses.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from dualbrain.planner.prompt import worked_examples
-from dualbrain.planner.protocol import Planner
+from dualbrain.planner.protocol import Planner, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal, Recall
 
@@ -33,6 +35,10 @@ class PromptedPlanner:
     def propose(self, request: PlanRequest) -> Proposal:
         """The answer to the question with an example before it."""
         return self._planner.propose(with_example(request))
+
+    def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        """The same, for many questions."""
+        return propose_all(self._planner, [with_example(request) for request in requests])
 
     def close(self) -> None:
         """Close the planner."""

@@ -7,10 +7,12 @@ is bound as before, and so is the gate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from dualbrain.evaluation.method import Spoiled
-from dualbrain.planner.protocol import Planner
+from dualbrain.planner.protocol import Planner, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -33,6 +35,10 @@ class SpoiledPlanner:
     def propose(self, request: PlanRequest) -> Proposal:
         """The answer to the spoiled question."""
         return self._planner.propose(spoil(request, self._how))
+
+    def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        """The same, for many questions."""
+        return propose_all(self._planner, [spoil(request, self._how) for request in requests])
 
     def close(self) -> None:
         """Close the planner."""

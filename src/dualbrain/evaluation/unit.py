@@ -84,13 +84,13 @@ def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], seeds: range, co
 
 
 def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:
-    """One run: a single unit where memory grows, else a unit an episode."""
+    """One run: a single unit where memory grows and where questions are asked together, else a unit an episode."""
     task, robot = place
     seeds = tuple(suite.first + index for index in range(suite.seeds) if index % suite.runs == run)
     repetitions = tuple(range(suite.repetitions))
     cluster = f"{robot} {task.name} run {run}"
     about = (arm.name, robot, task, cluster)
-    if arm.remembers:
+    if arm.remembers or stage == "plan":
         return [Unit(stage, f"{arm.name} {cluster}", *about, seeds, repetitions)]
     name = f"{arm.name} {robot} {task.name}"
     return [

@@ -68,19 +68,20 @@ class Work:
     def __call__(self, unit: Unit) -> Iterator[dict[str, Any]]:
         """The lines of `unit` from its episode number `done` on."""
         method = find_method(unit.method)
+        if unit.stage == "plan":
+            yield from self._plan(unit, method)
+            return
         for order, (seed, repetition) in enumerate(unit.order):
             if order < unit.done:
                 continue
             case = self._at.catalogue(unit.task, seed, unit.robot, repetition)
-            if unit.stage == "plan":
-                yield self._plan(case, method, unit.row_key(order))
-            elif unit.stage == "start" or method.remembers:
+            if unit.stage == "start" or method.remembers:
                 yield self._with_ledger(unit, method, case, order)
             else:
                 place = Place(unit.row_key(order), self._suite.name, unit.cluster, order, asked=False)
                 row = self._flown_once(case, method, place) if unit.stage == "fly" else self._flown(case, method, place)
                 yield _line(row)
-        if unit.stage != "plan" and (unit.stage == "start" or method.remembers):
+        if unit.stage == "start" or method.remembers:
             self._folder(unit).tidy(unit.count)
 
     # --- one episode ----------------------------------------------------------------------------------------------
@@ -131,18 +132,19 @@ class Work:
         asking = Counterfactuals(planner, vocabulary(case.robot), self._at.out / "counterfactuals")
         return replace(flight, episode=msgspec.structs.replace(flight.episode, uses=asking.uses(flight.episode)))
 
-    def _plan(self, case: Case, method: Method, key: str) -> dict[str, Any]:
-        """Ask for the answer and keep it; nothing moves."""
-        planner = self._planners.of(method, case.robot)
-        before = planner.asked
-        flight = fly(case, method, Means("plan", _Asking(planner), self._at.clock, planning_time=0.0))
-        spent = flight.episode.timings["planner"]
-        return {
-            "key": key,
-            "asked": planner.asked - before,
-            "planner_s": spent,
-            "wall_s": flight.stopwatch.split()["all"],
-        }
+    def _plan(self, unit: Unit, method: Method) -> Iterator[dict[str, Any]]:
+        """Ask all questions of `unit` together and keep the answers; nothing moves."""
+        planner, listening = self._planners.of(method, unit.robot), _Listening()
+        for seed, repetition in list(unit.order)[unit.done :]:
+            case = self._at.catalogue(unit.task, seed, unit.robot, repetition)
+            fly(case, method, Means("plan", listening, self._at.clock, planning_time=0.0))
+        fresh = [not planner.knows(request) for request in listening.heard]
+        begun = self._at.clock()
+        if any(fresh):
+            planner.fill([request for request, new in zip(listening.heard, fresh, strict=True) if new])
+        each = (self._at.clock() - begun) / max(1, sum(fresh))
+        for order, new in enumerate(fresh, start=unit.done):
+            yield {"key": unit.row_key(order), "asked": int(new), "planner_s": each if new else 0.0}
 
     # --- with memory ----------------------------------------------------------------------------------------------
 
@@ -168,19 +170,20 @@ class Work:
         return RunFolder(self._at.out / STARTS / plain(key)).after(count)
 
 
-class _Asking:
-    """Asks, so that the answer is kept, and says nothing: no contract is carried out."""
+class _Listening:
+    """Hears the questions and says nothing: no contract is carried out."""
 
-    def __init__(self, planner: KeepingPlanner) -> None:
-        self._planner = planner
-        self.name = planner.name
+    name = "nobody"
+
+    def __init__(self) -> None:
+        self.heard = list[PlanRequest]()
 
     def propose(self, request: PlanRequest) -> Proposal:
-        answer = self._planner.propose(request)
-        return msgspec.structs.replace(answer, finish_reason=f"only asked: {answer.finish_reason}")
+        self.heard.append(request)
+        return Proposal("", "only heard", self.name, "", {"total": 0.0})
 
     def close(self) -> None:
-        """The planner is the caller's."""
+        """Nothing to let go of."""
 
 
 def _line(row: Row) -> dict[str, Any]:

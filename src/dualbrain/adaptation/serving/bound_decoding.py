@@ -1,4 +1,4 @@
-"""The contract's grammar in transformers: LLGuidance, the engine that llama.cpp has built in, as a logits processor."""
+"""The contract's grammar in transformers: LLGuidance, the engine that llama.cpp has built in."""
 
 # pyright: reportMissingImports=false
 
@@ -12,49 +12,45 @@ import llguidance.hf
 import numpy as np
 import torch
 from torch import Tensor
-from transformers import LogitsProcessor, StoppingCriteria
 
 from dualbrain.errors import InvalidSetup
 
 
-class BoundDecoding(LogitsProcessor):
-    """Takes away every token after which no whole answer could follow.
+class Binding:
+    """Where one answer stands in its grammar, and what may follow there."""
 
-    `start` is the length of what was given: the grammar is about what follows. One answer each.
-    """
-
-    def __init__(self, vocabulary: Any, grammar: str, start: int) -> None:
-        """Bind an answer to `grammar`; raises `InvalidSetup` for one that LLGuidance cannot read."""
+    def __init__(self, vocabulary: Any, grammar: str) -> None:
+        """At the beginning of `grammar`; raises `InvalidSetup` for one that LLGuidance cannot read."""
         text = grammar.removeprefix("%llguidance {}\n")
         self._matcher = llguidance.LLMatcher(vocabulary, llguidance.grammar_from("lark", text))
         if self._matcher.is_error():
             raise InvalidSetup("grammar", got=self._matcher.get_error(), allowed="one that LLGuidance reads")
-        self._read = start
 
-    def __call__(self, input_ids: Tensor, scores: Tensor) -> Tensor:
-        """`scores` (1, n) with minus infinity for what the grammar does not admit after `input_ids` (1, t)."""
-        for token in input_ids[0, self._read :].tolist():
-            self._matcher.consume_token(token)
-        self._read = input_ids.shape[1]
+    def admitted(self, size: int) -> Tensor:
+        """Which of `size` tokens may come next, the end among them: (size,) of bool."""
         bits = np.frombuffer(self._matcher.compute_bitmask(), np.uint8)
-        admitted = torch.zeros(scores.shape[1], dtype=torch.bool)
-        known = torch.from_numpy(np.unpackbits(bits, bitorder="little")[: scores.shape[1]].astype(bool))
-        admitted[: len(known)] = known
-        return scores.masked_fill(~admitted.to(scores.device), -torch.inf)
+        known = torch.from_numpy(np.unpackbits(bits, bitorder="little")[:size].astype(bool))
+        return torch.nn.functional.pad(known, (0, size - len(known)))
 
+    def take(self, token: int) -> bool:
+        """Go on by `token`; False, and nothing changes, if it may not come next."""
+        return self._matcher.try_consume_tokens([token]) == 1
 
-class OutOfTime(StoppingCriteria):
-    """Ends an answer at a moment of a clock [s]; `late` tells that it did."""
+    def foresee(self, most: int, guess: Callable[[list[int]], int | None]) -> list[int]:
+        """At most `most` tokens to come: those that are forced, and where none is, what `guess` says after them.
 
-    def __init__(self, until: float, clock: Callable[[], float]) -> None:
-        """Let it go on until `until`."""
-        self._until, self._clock, self.late = until, clock, False
-
-    def __call__(self, input_ids: Tensor, scores: Any, **told: Any) -> Any:
-        """Whether to end now, for each row."""
-        del scores, told
-        self.late = self._clock() > self._until
-        return torch.full((input_ids.shape[0],), self.late, device=input_ids.device)
+        As far as the grammar admits it.
+        """
+        ahead: list[int] = []
+        trial = self._matcher.deep_copy()
+        while len(ahead) < most and not trial.is_stopped():
+            token = guess(ahead)
+            following = trial.compute_ff_tokens() or ([] if token is None else [token])
+            taken = trial.try_consume_tokens(following) if following else 0
+            ahead += following[:taken]
+            if not taken or taken < len(following):
+                break
+        return ahead[:most]
 
 
 def vocabulary_of(tokenizer: Any) -> Any:

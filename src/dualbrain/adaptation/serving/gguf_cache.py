@@ -1,32 +1,63 @@
-"""GGUF-LoRA files made of adapters, kept in the cache: made when first needed, verified whenever they are used."""
+"""Files for llama.cpp that are made of others, kept in the cache: made when first needed, verified whenever used.
+
+They are adapters as GGUF-LoRA, and small bases in half precision.
+"""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from math import prod
 from pathlib import Path
 
 from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.serving.gguf_base import read_gguf_base
 from dualbrain.adaptation.serving.gguf_lora import VERSION, convert
 from dualbrain.adaptation.serving.layers import Layer, Stack
+from dualbrain.adaptation.serving.merged_gguf import write_merged
 from dualbrain.planner.llama_process import Worn
 from dualbrain.weights import find_file
+
+SMALL = 512e6
+"""Bytes of a base in half precision; a larger one is served as it is."""
+
+
+def served(stack: Stack, cache: Path) -> Path:
+    """The base file on which the adapters of `stack` are worn: of a small one that is quantised, the same in float16.
+
+    For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
+    (docs/serving.md).
+    """
+    in_half = 2 * sum(prod(shape) for shape in read_gguf_base(stack.gguf).shapes.values())
+    if in_half > SMALL or stack.gguf.stat().st_size > in_half:
+        return stack.gguf
+    path = _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf"
+    return _made(path, lambda: write_merged({}, stack.gguf, path))
 
 
 def worn(stack: Stack, cache: Path) -> tuple[Worn, ...]:
     """The adapters of `stack` as files that llama.cpp loads, the lowest first."""
+    return tuple(Worn(_converted(layer, stack, _folder(cache)), layer.card.id) for layer in stack.layers)
+
+
+def _folder(cache: Path) -> Path:
     folder = cache / "adapters"
     folder.mkdir(parents=True, exist_ok=True)
-    return tuple(Worn(_made(layer, stack, folder), layer.card.id) for layer in stack.layers)
+    return folder
 
 
-def _made(layer: Layer, stack: Stack, folder: Path) -> Path:
-    """The file for `layer`; one that was torn or changed is made again."""
+def _converted(layer: Layer, stack: Stack, folder: Path) -> Path:
     base = find_file(stack.base).sha256
     path = folder / f"{layer.card.id[:32]}-on-{base[:16]}-v{VERSION}.gguf"
+    return _made(path, lambda: convert(layer.folder, stack.gguf, path))
+
+
+def _made(path: Path, make: Callable[[], object]) -> Path:
+    """The file at `path`; one that was torn or changed is made again."""
     stamp = path.with_suffix(".sha256")
     if not (path.is_file() and stamp.is_file() and _hash(path) == stamp.read_text()):
         stamp.unlink(missing_ok=True)
-        convert(layer.folder, stack.gguf, path)
+        make()
         write_durably(stamp, _hash(path).encode())
     return path
 

@@ -1,7 +1,8 @@
 """A planner in transformers: the training twin of what serves, and for bases that the converter refuses.
 
 Base and adapters in torch, in this process, float32; the same prompt, the same beginning and the same grammar as in
-llama.cpp. Slower and larger (research: 2.4 times, 950 MB for the small model), so it is chosen by name only.
+llama.cpp. Larger (950 MB for the small model), but many questions may be asked at once, and what is forced or foreseen
+is given ahead (`ahead.py`). It is chosen by name only.
 """
 
 # pyright: reportMissingImports=false
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ from peft import PeftModel
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
-from dualbrain.adaptation.serving.bound_decoding import BoundDecoding, OutOfTime, llguidance, vocabulary_of
+from dualbrain.adaptation.serving.ahead import Reply, speak
+from dualbrain.adaptation.serving.bound_decoding import Binding, llguidance, vocabulary_of
 from dualbrain.adaptation.serving.fitness import require_fit
 from dualbrain.adaptation.serving.layers import Stack
 from dualbrain.errors import InvalidSetup
 from dualbrain.planner import protocol
 from dualbrain.planner.asking import FREE_BY, Asking
+from dualbrain.planner.grammar import contract_grammar
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.weights import find_file
@@ -45,15 +48,22 @@ def dressed(stack: Stack, cache: Path) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, slots=True)
 class TorchConfig:
-    """As `LlamaConfig`: processor threads, tokens of an answer, one time limit for a proposal with its load [s]."""
+    """As `LlamaConfig`: processor threads, tokens of an answer, one time limit for a proposal with its load [s].
+
+    `at_once`: questions that are asked side by side, where many are waiting; the time limit is that of all of these.
+    """
 
     threads: int = 1
     max_tokens: int = 640
     timeout_s: float = 600.0
+    at_once: int = 8
 
 
 class TorchPlanner:
-    """Proposes with the adapters of `stack` on its dequantised base; loads with the first proposal."""
+    """Proposes with the adapters of `stack` on its dequantised base; loads with the first proposal.
+
+    On a GPU where torch has one, else on the processor.
+    """
 
     def __init__(
         self, name: str, stack: Stack, cache: Path, asking: Asking, config: TorchConfig | None = None, *,
@@ -71,53 +81,67 @@ class TorchPlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`. Raises `InvalidSetup` for a robot, vocabulary or schema that is not the adapter's."""
-        if self.stack.layers:
-            require_fit(self.stack.top, request.robot, request.registry_hash)
-        grammar = self._grammar(request)
-        begun = self._clock()
-        model, tokenizer, vocabulary = self._load()
-        loaded = self._clock()
-        beginning = self._asking.beginning(request)
-        turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._asking.messages(request)]
-        given = [*prompt_ids(tokenizer, turns)]
-        given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
-        bound = [BoundDecoding(vocabulary, grammar, len(given))] if grammar else []
-        until = OutOfTime(begun + self._config.timeout_s, self._clock)
-        tokens = self._generate(model, tokenizer, given, bound, until, by_chance=self._by_chance(request))
-        text = beginning + tokenizer.decode(tokens, skip_special_tokens=True)
-        whole = bool(tokens) and tokens[-1] == tokenizer.eos_token_id
-        finish = protocol.TIMEOUT if until.late and not whole else protocol.STOP if whole else protocol.LENGTH
-        timings = {
-            "load": loaded - begun, "decode": self._clock() - loaded, "prompt_tokens": float(len(given)),
-            "output_tokens": float(len(tokens)), "total": self._clock() - begun,
-        }  # fmt: skip
-        said = text if finish != protocol.TIMEOUT else ""
-        return Proposal(said, finish, self.name, self._constrained_by(request), timings)
+        return self.propose_all([request])[0]
+
+    def propose_all(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        """Answer each of `requests` as if it were the only one, `at_once` of them side by side."""
+        step = self._config.at_once
+        return [
+            answer
+            for start in range(0, len(requests), step)
+            for answer in self._together(requests[start : start + step])
+        ]
 
     def close(self) -> None:
         """Let go of the model."""
         self._loaded = None
 
-    @torch.no_grad()
-    def _generate(
-        self, model: Any, tokenizer: Any, given: list[int], bound: list[Any], until: OutOfTime, *, by_chance: bool
-    ) -> list[int]:
+    def _together(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        grammars = [self._grammar(request) for request in requests]
+        begun = self._clock()
+        model, tokenizer, vocabulary = self._load()
+        loaded = self._clock()
+        beginnings = [self._asking.beginning(request) for request in requests]
+        replies = [
+            self._reply(request, beginning, grammar, tokenizer, vocabulary)
+            for request, beginning, grammar in zip(requests, beginnings, grammars, strict=True)
+        ]
         torch.set_num_threads(self._config.threads)
-        torch.manual_seed(1)
-        ids = torch.tensor([given])
-        drawn = {"do_sample": True, "temperature": 1.0} if by_chance else {"do_sample": False, "temperature": None}
-        padding = tokenizer.eos_token_id if tokenizer.pad_token_id is None else tokenizer.pad_token_id
-        told = model.generate(
-            input_ids=ids, attention_mask=torch.ones_like(ids), max_new_tokens=self._config.max_tokens, top_p=None,
-            top_k=None, logits_processor=bound, stopping_criteria=[until], pad_token_id=padding,
-            eos_token_id=tokenizer.eos_token_id, **drawn,
-        )  # fmt: skip
-        return told[0, len(given) :].tolist()
+        speak(model, replies, lambda: self._clock() > begun + self._config.timeout_s)
+        took = {"load": loaded - begun, "decode": self._clock() - loaded, "total": self._clock() - begun}
+        took["at_once"] = float(len(requests))
+        return [
+            self._proposal(request, reply, beginning, tokenizer, took)
+            for request, reply, beginning in zip(requests, replies, beginnings, strict=True)
+        ]
+
+    def _reply(self, request: PlanRequest, beginning: str, grammar: str, tokenizer: Any, vocabulary: Any) -> Reply:
+        if self.stack.layers:
+            require_fit(self.stack.top, request.robot, request.registry_hash)
+        turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._asking.messages(request)]
+        given = [*prompt_ids(tokenizer, turns)]
+        given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
+        bound = Binding(vocabulary, grammar) if grammar else None
+        guide = None if grammar else Binding(vocabulary, contract_grammar(request.schema))
+        seed = 1 if self._by_chance(request) else None
+        longest = self._config.max_tokens
+        return Reply(given, end=tokenizer.eos_token_id, longest=longest, bound=bound, guide=guide, seed=seed)
+
+    def _proposal(
+        self, request: PlanRequest, reply: Reply, beginning: str, tokenizer: Any, took: dict[str, float]
+    ) -> Proposal:
+        finish = protocol.STOP if reply.whole else protocol.LENGTH if reply.ended else protocol.TIMEOUT
+        text = beginning + tokenizer.decode(reply.said, skip_special_tokens=True)
+        counts = {"prompt_tokens": float(len(reply.given)), "output_tokens": float(len(reply.said))}
+        said = text if finish != protocol.TIMEOUT else ""
+        return Proposal(said, finish, self.name, self._constrained_by(request), took | counts)
 
     def _load(self) -> tuple[Any, Any, Any]:
         if self._loaded is None:
             model, tokenizer = dressed(self.stack, self._cache)
-            self._loaded = model, tokenizer, vocabulary_of(tokenizer)
+            merged = model.merge_and_unload() if self.stack.layers else model
+            device = "cuda" if torch.cuda.is_available() else "cpu"
+            self._loaded = merged.to(device), tokenizer, vocabulary_of(tokenizer)
         return self._loaded
 
     def _grammar(self, request: PlanRequest) -> str:

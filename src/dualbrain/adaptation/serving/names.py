@@ -16,6 +16,11 @@ def is_adapter(name: str) -> bool:
     return name.startswith(PREFIX) or name in packaged_names()
 
 
+def without_engine(name: str) -> str:
+    """Who answers, whatever runs it: `name` without `transformers:`."""
+    return name.removeprefix(TORCH)
+
+
 def shadow_parts(name: str) -> tuple[str, str]:
     """`shadow:CANDIDATE@PLANNER` as the candidate's name and the planner's; without one, the champion serves."""
     candidate, _, serving = name.removeprefix(SHADOW).partition("@")

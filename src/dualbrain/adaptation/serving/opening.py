@@ -8,9 +8,17 @@ from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.adaptation.serving.canary import SCENES, Watch
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
-from dualbrain.adaptation.serving.gguf_cache import worn
+from dualbrain.adaptation.serving.gguf_cache import served, worn
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.names import PREFIX, SHADOW, TORCH, folder_of, is_adapter, shadow_parts
+from dualbrain.adaptation.serving.names import (
+    PREFIX,
+    SHADOW,
+    TORCH,
+    folder_of,
+    is_adapter,
+    shadow_parts,
+    without_engine,
+)
 from dualbrain.adaptation.serving.packaged import packaged_names
 from dualbrain.adaptation.serving.shadow import Shadowed
 from dualbrain.adaptation.serving.speaking import runtime_of
@@ -49,7 +57,7 @@ def open_planner(
         return Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
     if name.startswith(TORCH):
         within = (threads, timeout_s)
-        return _in_torch(name.removeprefix(TORCH), cache, adapters, robot=robot, registry=registry, within=within)
+        return _in_torch(without_engine(name), cache, adapters, robot=robot, registry=registry, within=within)
     if is_adapter(name):
         return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, config=config)
     try:
@@ -62,8 +70,8 @@ def open_planner(
 
 
 def unbinds(name: str) -> bool:
-    """Whether `open_unbound` can open `name`: models that run here in llama.cpp, with an adapter or without."""
-    return is_adapter(name) or name in plain.planner_names()
+    """Whether `open_unbound` can open `name`: models that run here, with an adapter or without."""
+    return is_adapter(core := without_engine(name)) or core in plain.planner_names()
 
 
 def open_unbound(name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "") -> Planner:
@@ -71,6 +79,8 @@ def open_unbound(name: str, cache: Path, *, adapters: Path, robot: str = "", reg
 
     For measuring; a gate stands before the robot whatever binds a planner. `unbinds` tells for which names.
     """
+    if name.startswith(TORCH):
+        return _in_torch(without_engine(name), cache, adapters, robot=robot, registry=registry, free=True)
     if is_adapter(name):
         return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, asking=unbound(SHORT))
     return LlamaPlanner(name, locate(name, cache), asking=unbound(FULL))
@@ -92,7 +102,8 @@ def open_adapter(
 
 
 def _in_torch(
-    name: str, cache: Path, adapters: Path, *, robot: str, registry: str, within: tuple[int, float]
+    name: str, cache: Path, adapters: Path, *, robot: str, registry: str, within: tuple[int, float] = (1, 600.0),
+    free: bool = False,
 ) -> Planner:  # fmt: skip
     """A model of the manifest, or an adapter, in transformers; raises `MissingPart` without the extra."""
     try:
@@ -105,13 +116,14 @@ def _in_torch(
         raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
     threads, timeout_s = within
     config = TorchConfig(threads=threads, timeout_s=timeout_s)
+    full, short = (unbound(FULL), unbound(SHORT)) if free else (FULL, SHORT)
     if not is_adapter(name):
-        return TorchPlanner(f"{name} in torch", Stack(name, locate(name, cache), ()), cache, FULL, config)
+        return TorchPlanner(f"{name} in torch", Stack(name, locate(name, cache), ()), cache, full, config)
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     require_prompt(stack.top)
     if robot:
         require_fit(stack.top, robot, registry)
-    return TorchPlanner(author(name, stack), stack, cache, SHORT, config)
+    return TorchPlanner(author(name, stack), stack, cache, short, config)
 
 
 def examine(folder: Path, cache: Path, adapters: Path) -> str:
@@ -127,12 +139,13 @@ def examine(folder: Path, cache: Path, adapters: Path) -> str:
 
 def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", asking: Asking = SHORT) -> LlamaPlanner:
     """A process of the stack's model with its adapters, asked by `asking`."""
-    return LlamaPlanner(called or stack.base, stack.gguf, config, asking=asking, adapters=worn(stack, cache))
+    base, adapters = served(stack, cache), worn(stack, cache)
+    return LlamaPlanner(called or stack.base, base, config, asking=asking, adapters=adapters)
 
 
 def watch_of(stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> Watch:
     """The canaries of the adapter on top."""
-    runtime = runtime_of(stack.gguf)
+    runtime = runtime_of(served(stack, cache))
     return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config))
 
 
