@@ -133,3 +133,19 @@ def test_patience_ends_whatever_the_filter_says(started):
         arm.sense()
     assert why.status is Status.TAKEN_OVER
     assert STANDSTILL <= arm.now <= STANDSTILL + 0.01
+
+
+def test_giving_way_to_somebody_takes_time_though_nobody_is_seen_any_more(monkeypatch):
+    """Who begins a journey again at the moment in which it was broken off would begin it for ever."""
+    arm, looks = Paper(), []
+
+    def look(*told, ever=False, **more):
+        looks.append(arm.now)
+        assert looks.count(arm.now) < 20
+        return None if ever else 0.3
+
+    goal = arm.goal(0.5, 0.0, 0.4)
+    monkeypatch.setattr(arm.limb, "threatened", look)
+    with pytest.raises(AssertionError, match="did not end"):  # a threat that stays is waited for again and again
+        arm.carry_out(arrive(arm.limb, goal, "carry", 0.3), limit=0.2)
+    assert arm.phases == ["yield"]

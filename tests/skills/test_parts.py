@@ -57,8 +57,34 @@ def test_an_old_sighting_is_carried_forward():
     assert may_be_over(person(0.6, -0.2), spot, 0.1, 0.2, 2.5)
 
 
-@given(y=st.floats(-1, 1), vy=st.floats(-0.3, 0.3), horizon=st.floats(0.1, 4.0))
-def test_a_longer_horizon_never_sees_less(y, vy, horizon):
-    spot = np.array([0.5, 0.0, 0.05])
-    if may_be_over(person(y, vy), spot, horizon, 0.2, 0.0):
-        assert may_be_over(person(y, vy), spot, horizon + 1.0, 0.2, 0.0)
+PLACES, PACES = st.tuples(st.floats(-1, 1), st.floats(-1, 1)), st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+
+
+def passer_by(velocity, turn=0.0) -> Scene:
+    """A forearm over (0.5, 0), pointing by `turn` [rad] from the x axis, that moves with `velocity` (2,)."""
+    pointing = np.array([np.cos(turn), np.sin(turn), 0.0])
+    across = np.array([-pointing[1], pointing[0], 0.0])
+    rotation = np.column_stack([across, np.cross(pointing, across), pointing])
+    arm = SceneObject(
+        "forearm", "person", Capsule(0.045, 0.25), Pose((0.5, 0.0, 0.2), quaternion(rotation)), (*velocity, 0.0)
+    )
+    return Scene("panda", 0.0, 1, (arm,))
+
+
+@given(place=PLACES, pace=PACES, turn=st.floats(-3, 3), horizon=st.floats(0.1, 4.0), more=st.floats(0.0, 2.0))
+def test_a_longer_horizon_never_sees_less(place, pace, turn, horizon, more):
+    spot, scene = np.array([*place, 0.05]), passer_by(pace, turn)
+    if may_be_over(scene, spot, horizon, 0.2, 0.0):
+        assert may_be_over(scene, spot, horizon + more, 0.2 + 1e-9, 0.0)
+
+
+@given(place=PLACES, pace=PACES, turn=st.floats(-3, 3), horizon=st.floats(0.1, 4.0))
+def test_a_sweep_is_what_the_axis_passes_by(place, pace, turn, horizon):
+    spot, scene, reach = np.array([*place, 0.05]), passer_by(pace, turn), 0.2
+    times, shares = np.meshgrid(np.linspace(0.0, horizon, 201), np.linspace(-1.0, 1.0, 101))
+    axis = np.array([0.5, 0.0]) + times[..., None] * pace + 0.25 * shares[..., None] * [np.cos(turn), np.sin(turn)]
+    least = float(np.linalg.norm(axis - place, axis=-1).min()) - 0.045  # no nearer than the truth, and hardly farther
+    if least < reach:
+        assert may_be_over(scene, spot, horizon, reach + 1e-9, 0.0)
+    elif least > reach + 0.01:
+        assert not may_be_over(scene, spot, horizon, reach, 0.0)

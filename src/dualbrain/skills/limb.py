@@ -172,11 +172,12 @@ class Limb:
     def step_aside(self, phase: str, height: float) -> Part:
         """Rise until tool and load are above `height` [m], then rest until whoever comes has passed; then `YIELDED`.
 
-        The contacts of `phase` stay allowed: a hand may be leaving a thing it has around it.
+        The contacts of `phase` stay allowed: a hand may be leaving a thing it has around it. It takes one tick at
+        least, so that who begins again after it does so at another time.
         """
         start, spot = self.senses.now, self.senses.tool.position.copy()
         rotation, posture = self.senses.tool.rotation.copy(), self.senses.state.q.copy()
-        while self.threatened(spot, horizon=2.5, reach=BESIDE, ever=True) is not None:
+        while self.senses.now == start or self.threatened(spot, horizon=2.5, reach=BESIDE, ever=True) is not None:
             tool, state, now = self.senses.tool, self.senses.state, self.senses.now
             if now - start > PERSON_PATIENCE:
                 return Ending(Status.FAILED, f"{phase}: a person stayed in the way for {PERSON_PATIENCE:.0f} s")

@@ -58,18 +58,34 @@ def room_left(scene: Scene, way: Callable[[float], Array], horizon: float, now: 
 
 
 def _sweeps(person: SceneObject, spot: Array, horizon: float, reach: float, now: float) -> bool:
-    """Distance in the plane from `spot` to the segment of the person's axis, swept along its velocity."""
+    """Whether `spot` lies within `reach` of what the person's axis, going on as now, sweeps in the plane."""
     velocity = np.asarray(person.velocity)
     start = np.asarray(person.pose.position) + velocity * (now - person.stamp)
     radius, half = _axis(person)
-    slack = reach + radius + person.error
-    ticks = max(2, int(np.ceil(horizon * float(np.linalg.norm(velocity[:2])) / 0.05)) + 1)
-    for share in np.linspace(0.0, horizon, ticks):
-        centre = (start + share * velocity)[:2]
-        along = float(np.clip((spot[:2] - centre) @ half / (half @ half + 1e-12), -1.0, 1.0))
-        if float(np.linalg.norm(spot[:2] - centre - along * half)) < slack:
-            return True
-    return False
+    return _apart((spot - start)[:2], horizon * velocity[:2], half) < reach + radius + person.error
+
+
+def _apart(spot: Array, path: Array, half: Array) -> float:
+    """Distance [m] of `spot` (2,) from what a segment from -half to half (2,) sweeps on its straight `path` (2,).
+
+    The least |spot - a path - s half| over a in [0, 1] and s in [-1, 1]: 0 inside that parallelogram, else on an edge.
+    """
+    area = _cross(path, half)
+    if area and 0.0 <= _cross(spot, half) / area <= 1.0 and abs(_cross(path, spot) / area) <= 1.0:
+        return 0.0
+    sides = [_beside(spot - end * half, 0.5 * path, 0.5 * path) for end in (-1.0, 1.0)]
+    return min(*sides, *(_beside(spot, end * path, half) for end in (0.0, 1.0)))
+
+
+def _beside(spot: Array, middle: Array, half: Array) -> float:
+    """Distance of `spot` from the segment from middle - half to middle + half."""
+    off = spot - middle
+    along = min(1.0, max(-1.0, float(off @ half) / (float(half @ half) + 1e-12)))
+    return float(np.hypot(*(off - along * half)))
+
+
+def _cross(a: Array, b: Array) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
 
 
 def _axis(person: SceneObject) -> tuple[float, Array]:
