@@ -1,8 +1,8 @@
 """adapt_curve: what each part of adaptation is worth, from the same proposals, by free answers that nobody taught.
 
 Every arm starts from base-135m. All arms of a seed share the flights of `proposals`; they differ in what of them is
-taught and how. The answers are asked for greedily with no grammar, in the runtime that serves; those that the gate
-accepts are carried out in their scenes.
+taught and how. The answers are asked for greedily with no grammar; those that the gate accepts are carried out in their
+scenes.
 """
 
 from __future__ import annotations
@@ -26,15 +26,12 @@ from dualbrain.adaptation.dataset import Dataset, dataset_of
 from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
 from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.adaptation.serving.speaking import say
 from dualbrain.cli import folders
 from dualbrain.contracts.schema import short_form
 from dualbrain.evaluation.prompted import with_example
 from dualbrain.memory.ledger import LedgerReader
-from dualbrain.planner.asking import FREE, short_messages
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.asking import short_messages
 from dualbrain.planner.prompt import Message, render
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Recall
@@ -53,8 +50,9 @@ from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
 from proofs.closed_loop import fly
 from proofs.figures import table
-from proofs.language import LONGEST, by_chance, judged, right, text_of
+from proofs.language import judged, right
 from proofs.proof import Options, Row, Unit
+from proofs.speaker import Chance, Speaker
 
 SEEDS, FLIGHTS, REACHED = range(3), 240, 280
 """Of the lessons of a seed so many are deeds that are flown; what is declined comes from the first so many."""
@@ -209,12 +207,10 @@ def questions() -> tuple[tuple[str, Sample], ...]:
 
 def asked(stack: Stack, prompt: Prompt) -> Row:
     """The answers of a model, what became of those that were carried out, and how many draws were valid."""
-    planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
-    try:
-        answers = [{"slice": name, **judged(one, answer(planner, one, prompt))} for name, one in questions()]
-        draws = [draw(planner, one, chance, prompt) for one in drawn_from() for chance in range(DRAWS)]
-    finally:
-        planner.close()
+    speaker, names, samples = Speaker(stack), *zip(*questions(), strict=True)
+    texts = speaker.answers(samples, [turns(one, prompt) for one in samples])
+    answers = [{"slice": name, **told} for name, told in zip(names, map(judged, samples, texts), strict=True)]
+    draws = [valid for one in drawn_from() for valid in drawn(speaker, one, prompt)]
     good = [one for one in answers if right(one) and not one["declines"]]
     flights = [flight(one) for name in SLICES for one in [x for x in good if x["slice"] == name][:CARRIED_OUT]]
     return {"answers": answers, "valid_draws": sum(draws) / len(draws), "flights": flights}
@@ -238,14 +234,10 @@ def turns(one: Sample, prompt: Prompt) -> list[Message]:
     return render(asking) if prompt == "long" else short_messages(with_example(asking))
 
 
-def answer(planner: LlamaPlanner, one: Sample, prompt: Prompt) -> str:
-    """The greedy free answer."""
-    return text_of(say(planner, turns(one, prompt), longest=LONGEST))
-
-
-def draw(planner: LlamaPlanner, one: Sample, chance: int, prompt: Prompt) -> bool:
-    """Whether an answer drawn at temperature 1 is compliant."""
-    return bool(judged(one, by_chance(planner, turns(one, prompt), 1.0, chance))["compliant"])
+def drawn(speaker: Speaker, one: Sample, prompt: Prompt) -> list[bool]:
+    """Whether each of the answers drawn at temperature 1 is compliant."""
+    texts = speaker.answers([one] * DRAWS, [turns(one, prompt)] * DRAWS, Chance(1.0, range(DRAWS)))
+    return [bool(judged(one, text)["compliant"]) for text in texts]
 
 
 def flight(one: dict[str, Any]) -> dict[str, Any]:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,13 +26,11 @@ from dualbrain.adaptation.dataset import Dataset, dataset_of, read_dataset, writ
 from dualbrain.adaptation.lessons.score import score
 from dualbrain.adaptation.sample import Sample, answer
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.opening import N_CTX, author, wear
+from dualbrain.adaptation.serving.opening import author
 from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.cli import folders
 from dualbrain.contracts.contract import Contract
 from dualbrain.memory.ledger import LedgerReader
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.records import Episode
 from dualbrain.runtime.classroom import lessons, setting_of
 from dualbrain.runtime.proposals import LEDGER, ROBOT, carried_out, declined, flown, memory_of, proposals, turn_of
@@ -42,8 +39,9 @@ from dualbrain.runtime.steps import alone, carry_on
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.thinking import PLANNING_TIME
 from dualbrain.runtime.vocabulary import vocabulary
-from proofs.language import by_chance, free, judged, right
+from proofs.language import judged, right
 from proofs.proof import Row
+from proofs.speaker import Chance, Speaker
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.fitting.loop import Progress
@@ -89,17 +87,16 @@ class Chain:
         """The folder with the ledger of everything that was proposed in the rounds before `number`."""
         last, start = number - 1, self.lived(number - 1) if number > 1 else None
         first = last * ASKED
-        with speaking(self.planner(last)) as (planner, name):
+        stack = self.planner(last)
+        speaker, name = Speaker(stack), author(stack.layers[-1].folder.name, stack)
 
-            def propose(turn: int) -> Sample:
-                question = instructions(self.seed, last)[turn - first]
-                text = by_chance(planner(), question.prompt, TEMPERATURE, turn)
-                return said_by(question, storable(text), name)
+        def propose(turn: int) -> Sample:
+            question = instructions(self.seed, last)[turn - first]
+            text = speaker.answer(question, Chance(TEMPERATURE, [turn]))
+            return said_by(question, storable(text), name)
 
-            return flown(
-                self.folder / f"proposed in round {last}", ASKED, propose, first=first, start=start,
-                cache=folders.cache(),
-            )  # fmt: skip
+        folder = self.folder / f"proposed in round {last}"
+        return flown(folder, ASKED, propose, first=first, start=start, cache=folders.cache())
 
     def impossible(self, number: int) -> list[str]:
         """The memories of what was asked for before round `number` and cannot be done: declines may teach there."""
@@ -125,15 +122,17 @@ class Chain:
 
     def measured(self, number: int) -> list[Row]:
         """The held-out episodes of the planner of round `number`; of round 0 they are the same in every chain."""
-        with speaking(self.planner(number)) as (planner, name):
+        stack = self.planner(number)
+        speaker, name = Speaker(stack), author(stack.layers[-1].folder.name, stack)
 
-            def some(step: int, here: Path) -> None:
-                with (here / EPISODES).open("ab") as lines:
-                    for turn in range(step * TOGETHER, min(PLACES, (step + 1) * TOGETHER)):
-                        text = storable(free(planner(), places()[turn]))
-                        lines.write(msgspec.json.encode(episode(turn, text, name)) + b"\n")
+        def some(step: int, here: Path) -> None:
+            turns = range(step * TOGETHER, min(PLACES, (step + 1) * TOGETHER))
+            texts = speaker.answers([places()[turn] for turn in turns])
+            with (here / EPISODES).open("ab") as lines:
+                for turn, text in zip(turns, texts, strict=True):
+                    lines.write(msgspec.json.encode(episode(turn, storable(text), name)) + b"\n")
 
-            last = carry_on(self.folder / f"measured in round {number}", -(-PLACES // TOGETHER), some)
+        last = carry_on(self.folder / f"measured in round {number}", -(-PLACES // TOGETHER), some)
         return [msgspec.json.decode(line) for line in (last / EPISODES).read_bytes().splitlines()]
 
 
@@ -160,23 +159,6 @@ def instructions(seed: int, number: int) -> tuple[Sample, ...]:
     """What the planner of a round is asked for in the chain of `seed`: one goal each, scenes and words of lessons."""
     drawn = proposals(FIRST_SEED + 10 * seed + number, 2 * ASKED, declines=True)
     return tuple(filter(one_goal, drawn))[:ASKED]
-
-
-@contextmanager
-def speaking(stack: Stack) -> Generator[tuple[Callable[[], LlamaPlanner], str]]:
-    """Gives the planner of `stack`, started when it is first wanted, and its name; ended afterwards."""
-    opened: list[LlamaPlanner] = []
-
-    def planner() -> LlamaPlanner:
-        if not opened:
-            opened.append(wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE))
-        return opened[0]
-
-    try:
-        yield planner, author(stack.layers[-1].folder.name, stack)
-    finally:
-        for one in opened:
-            one.close()
 
 
 def said_by(question: Sample, text: str, name: str) -> Sample:

@@ -1,7 +1,7 @@
 """language: an adapter that was taught the language of contracts, asked freely in scenes and words it has never seen.
 
-Greedy, with no grammar, no schema and no rules in the prompt, in the runtime that serves. The gate that judges is the
-one before the robot in that scene, with its rules of reach, opening and hand.
+Greedy, with no grammar, no schema and no rules in the prompt. The gate that judges is the one before the robot in that
+scene, with its rules of reach, opening and hand.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -20,31 +20,17 @@ from dualbrain.adaptation.lessons.score import SAID, Score, score
 from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
 from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.chat import Answer
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.runtime.classroom import lessons, setting_of
 from dualbrain.weights import find_file, locate
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
+from proofs.speaker import Speaker
 
 QUESTIONS, TOGETHER = 120, 10
-LONGEST = 400
-"""Tokens of an answer: three things put away take some 330."""
 ADAPTER, BARE = "base-135m", "smollm2-135m-instruct"
-
-
-class NoAnswer(RuntimeError):
-    """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
-
-    def __init__(self, answer: Answer) -> None:
-        """Say what came instead."""
-        super().__init__(f"no answer: {answer.finish} {answer.detail}")
 
 
 class Language:
@@ -65,8 +51,8 @@ class Language:
 
     def run(self, about: dict[str, Any]) -> Row:
         """Ask, and judge each answer by the gate of its scene."""
-        planner, first = speaker(about["who"]), about["first"]
-        return {**about, "answers": [judged(one, free(planner, one)) for one in questions()[first : first + TOGETHER]]}
+        asked = questions()[about["first"] : about["first"] + TOGETHER]
+        return {**about, "answers": list(map(judged, asked, speaker(about["who"]).answers(asked)))}
 
     def brief(self, row: Row) -> str:
         """How many were right."""
@@ -134,41 +120,11 @@ def questions() -> tuple[Sample, ...]:
 
 
 @cache
-def speaker(name: str) -> LlamaPlanner:
-    """The model called `name` with what it wears, opened once a process, and nothing that binds its answers."""
-    cache_folder = folders.cache()
+def speaker(name: str) -> Speaker:
+    """The model called `name` with what it wears, opened once a process."""
     if name in packaged_names():
-        stack = stack_of(packaged_folder(name), cache_folder)
-    else:
-        stack = Stack(find_file(name).name, locate(name, cache_folder), ())
-    return wear(stack, cache_folder, LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
-
-
-def free(planner: LlamaPlanner, question: Sample) -> str:
-    """The free answer; raises `NoAnswer`."""
-    return text_of(say(planner, question.prompt, longest=LONGEST))
-
-
-def text_of(said: Said | Answer) -> str:
-    """The words of an answer; raises `NoAnswer`."""
-    if isinstance(said, Answer):
-        raise NoAnswer(said)
-    return said.text
-
-
-def by_chance(planner: LlamaPlanner, turns: Sequence[Mapping[str, object]], temperature: float, seed: int) -> str:
-    """A free answer drawn at `temperature` from the whole distribution; raises `NoAnswer`.
-
-    Draws of one prompt share what was read of it: chance decides them, not a rounding.
-    """
-    body = {
-        "messages": list(turns), "max_tokens": LONGEST, "temperature": temperature, "seed": seed,
-        "top_k": 0, "top_p": 1.0, "min_p": 0.0, "cache_prompt": True,
-    }  # fmt: skip
-    told = planner.tell("/v1/chat/completions", body)
-    if isinstance(told, Answer):
-        raise NoAnswer(told)
-    return str(told["choices"][0]["message"].get("content") or "")
+        return Speaker(stack_of(packaged_folder(name), folders.cache()))
+    return Speaker(Stack(find_file(name).name, locate(name, folders.cache()), ()))
 
 
 def judged(question: Sample, text: str) -> dict[str, Any]:

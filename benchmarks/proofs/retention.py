@@ -15,14 +15,14 @@ from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.adaptation.serving.speaking import say
+from dualbrain.adaptation.serving.speaking import Said, say
 from dualbrain.cli import folders
 from dualbrain.planner.asking import FREE
+from dualbrain.planner.chat import Answer
 from dualbrain.planner.llama import LlamaConfig
 from dualbrain.weights import find_file, locate
 from proofs import adapt_curve
 from proofs.figures import share, table
-from proofs.language import text_of
 from proofs.proof import Options, Row, Unit
 
 BARE, BASE = "smollm2-135m-instruct", "base-135m"
@@ -42,6 +42,14 @@ QUESTIONS = (
     ("What is H2O commonly called?", "water"),
 )  # fmt: skip
 """A question and the words one of which a right answer holds."""
+
+
+class NoAnswer(RuntimeError):
+    """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
+
+    def __init__(self, answer: Answer) -> None:
+        """Say what came instead."""
+        super().__init__(f"no answer: {answer.finish} {answer.detail}")
 
 
 class Retention:
@@ -88,6 +96,13 @@ class Retention:
             for arm, mine in by_arm.items() if mine
         )  # fmt: skip
         return table(("", "perplexity, by seed", "questions known"), cells)
+
+
+def text_of(said: Said | Answer) -> str:
+    """The words of an answer; raises `NoAnswer`."""
+    if isinstance(said, Answer):
+        raise NoAnswer(said)
+    return said.text
 
 
 def known(text: str, words: str) -> bool:

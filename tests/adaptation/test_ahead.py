@@ -28,7 +28,7 @@ WORDS = (
     "x",
     '{"steps":["open the hand","open the hand"]} again:',
 )
-LONGEST = 56
+LONGEST, HEAT = 56, 0.7
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,8 @@ def token_by_token(mind, one, bound, chance=None):
             logits = mind[0](input_ids=torch.tensor([text + said]), use_cache=False).logits[0, -1]
         if bound:
             logits = logits.masked_fill(~bound.admitted(len(logits)), -torch.inf)
-        told = torch.multinomial(logits.softmax(-1), 1, generator=chance) if chance else logits.argmax()
+        chances = (logits / HEAT).softmax(-1)
+        told = torch.multinomial(chances, 1, generator=chance) if chance else logits.argmax()
         said.append(int(told))
         if bound and said[-1] != 256:
             assert bound.take(said[-1])
@@ -80,8 +81,8 @@ def test_it_says_what_is_said_token_by_token(mind, kind, seed):
         )
         for one in replies(mind, kind)
     ]  # fmt: skip
-    assert said(mind, kind, seed=seed) == wanted
-    assert said(mind, kind, seed=seed, together=False) == wanted
+    assert said(mind, kind, seed=seed, temperature=HEAT) == wanted
+    assert said(mind, kind, seed=seed, temperature=HEAT, together=False) == wanted
 
 
 def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):

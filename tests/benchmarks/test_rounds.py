@@ -45,6 +45,24 @@ def small():
         yield
 
 
+def speaking(act, asked):
+    """A model that proposes the same contract three times of four, and answers held-out questions rightly."""
+
+    class Speaker:
+        def __init__(self, stack):
+            assert stack.layers
+
+        def answer(self, question, chance):
+            act()
+            asked.append(question.prompt[-1]["content"])
+            return CONTRACT if chance.seeds[0] % 4 else "no contract"
+
+        def answers(self, questions):
+            return [question.contract for question in questions]
+
+    return Speaker
+
+
 @pytest.fixture
 def stage(small, monkeypatch):
     """Nobody answers, flies or fits; `left` counts down to the act at which all ends once."""
@@ -60,11 +78,6 @@ def stage(small, monkeypatch):
         if ledger.parent.name == "partial":
             remember(ledger.parent, [told]).close()
         return told
-
-    def by_chance(planner, turns, temperature, seed):
-        act()
-        here.asked.append(turns[-1]["content"])
-        return CONTRACT if seed % 4 else "no contract"
 
     def adapt(data, config, base, judge, folder, *, tell, **others):
         act()
@@ -89,10 +102,8 @@ def stage(small, monkeypatch):
     monkeypatch.setattr(room, "carried_out", carried_out)
     monkeypatch.setattr(room, "TOGETHER", 4)
     told = {
-        "carried_out": carried_out, "by_chance": by_chance, "stack_of": stack_of,
+        "carried_out": carried_out, "Speaker": speaking(act, here.asked), "stack_of": stack_of,
         "find_base": lambda name, cache: BASE if name == BASE.name else Base(name, cache, "other"),
-        "free": lambda planner, question: question.contract,
-        "wear": lambda *stack, **asking: SimpleNamespace(close=lambda: None),
     }  # fmt: skip
     for name, stub in told.items():
         monkeypatch.setattr(steps, name, stub)

@@ -29,17 +29,18 @@ class Reply:
     """One answer under way: the tokens it was `given`, and those it has said since.
 
     `bound`: what it may say; `guide`: what it will probably say, though free. With a `seed` each token is drawn at
-    temperature 1, else the most probable one is taken. `ended`: with the token `end`, or cut after `longest`.
+    `temperature`, else the most probable one is taken. `ended`: with the token `end`, or cut after `longest`.
     """
 
     def __init__(
         self, given: Sequence[int], *, end: int, longest: int, bound: Binding | None = None,
-        guide: Binding | None = None, seed: int | None = None,
+        guide: Binding | None = None, seed: int | None = None, temperature: float = 1.0,
     ) -> None:  # fmt: skip
         """Nothing is said yet."""
         self.given, self.said = list(given), list[int]()
         self._end, self._longest, self._bound, self._guide = end, longest, bound, guide
         self._chance = None if seed is None else torch.Generator().manual_seed(seed)
+        self._temperature = temperature
         self._text = list[int]()
         self._followed = dict[tuple[int, ...], int]()
         for token in given:
@@ -79,7 +80,8 @@ class Reply:
             logits = logits.masked_fill(~admitted, -torch.inf)
         if self._chance is None:
             return int(logits.argmax())
-        return int(torch.multinomial(logits.softmax(-1), 1, generator=self._chance))
+        chances = (logits / self._temperature).softmax(-1)
+        return int(torch.multinomial(chances, 1, generator=self._chance))
 
     def _say(self, token: int) -> None:
         self.said.append(token)
