@@ -126,6 +126,8 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
 
 def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
     shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
+    for left_over in ("failure_1.jpg", "failure_2.jpg"):
+        (tmp_path / left_over).write_bytes(b"of a larger gallery")
     write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, [0.5, 2.0], shots, "2026-11-21", "again"))
     page = (tmp_path / "report.md").read_text()
     for part in (
@@ -140,6 +142,7 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     assert shown == ["curves.svg", "traces.svg", "latencies.svg", "failure_1.jpg"]
     for name in shown:
         assert (tmp_path / name).stat().st_size > 300
+    assert not (tmp_path / "failure_2.jpg").exists()
     chart = (tmp_path / "curves.svg").read_text()
     assert ElementTree.fromstring(chart).tag.endswith("svg")
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))

@@ -40,7 +40,6 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     blind = choose_graphics(os.environ)
     from dualbrain.dashboard.evaluation_page import PAGE, write_page
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
-    from dualbrain.evaluation.hypotheses import answers
     from dualbrain.evaluation.plans import Plans
     from dualbrain.evaluation.work import PLANS
 
@@ -50,19 +49,19 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     shots = [] if blind or not count else _shots(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    asked = [kept.proposal.timings.get("total", 0.0) for kept in Plans(folder / PLANS).all()]  # each question once
+    answered = [kept.proposal.timings for kept in Plans(folder / PLANS).all()]  # each question once
+    asked = [one.get("total", 0.0) for one in answered if one.get("at_once", 1.0) == 1.0]  # and by itself
     date = datetime.now(UTC).strftime("%Y-%m-%d")
     command = f"dualbrain evaluate --suite {suite.name} --out {folder.name}"
     told = Told(rows, suite, config, asked, shots, date, command)
     write_evaluation(folder / "report.html", told)
     pages = page or folder / "page"
     write_page(pages, told)
-    found = answers(rows)
-    for one in found:
+    for one in told.found:
         account.print(f"{one.name}: {one.verdict} ({one.says})")
     account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE}")
     if json:
-        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in found]
+        told_json = [{"name": one.name, "verdict": one.verdict, "claims": one.claims} for one in told.found]
         answer(msgspec.json.encode(told_json).decode())
     return Exit.SUCCESS
 

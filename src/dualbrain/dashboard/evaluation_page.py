@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
+from dualbrain.dashboard.evaluation_charts import traced_pair
 from dualbrain.dashboard.evaluation_report import UNSAFE, Shot, Told, jpeg
 from dualbrain.dashboard.page import Html, palette
 from dualbrain.evaluation.markdown import page
-from dualbrain.evaluation.missing import missing
-from dualbrain.evaluation.report_tables import all_grids
 
 PAGE = "report.md"
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
@@ -19,11 +17,13 @@ SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 def write_page(folder: Path, told: Told) -> None:
     """Write report.md, and what it shows, into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("failure_*.jpg"):  # of a larger gallery
+        old.unlink()
     lines = ["## Pictures", ""]
     for name, title, chart in (
-        ("curves", "Over repetitions: mean with its 95 % interval", curves(told.rows)),
-        ("traces", f"One place: {traced_pair(told.rows)}", traces(told.rows)),
-        ("latencies", "Share of measurements below", latencies(told.rows, told.asked)),
+        ("curves", "Over repetitions: mean with its 95 % interval", told.curves),
+        ("traces", f"One place: {traced_pair(told.rows)}", told.traces),
+        ("latencies", "Share of measurements below", told.latencies),
     ):
         folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")
         lines += [f"{literal(title)}", "", f"![{literal(title)}]({name}.svg)", ""]
@@ -31,8 +31,8 @@ def write_page(folder: Path, told: Told) -> None:
         name = f"failure_{number}.jpg"
         folder.joinpath(name).write_bytes(jpeg(shot.rgb))
         lines += [f"![{number}]({name})", "", *_caption(shot), ""]
-    lines += ["## What was not measured", "", *(f"- {line}" for line in missing(told.rows, told.suite)), ""]
-    whole = page(f"Evaluation {told.suite.name}", about(told), all_grids(told.rows, told.config))
+    lines += ["## What was not measured", "", *(f"- {line}" for line in told.missing), ""]
+    whole = page(f"Evaluation {told.suite.name}", about(told), told.grids)
     folder.joinpath(PAGE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
 
 

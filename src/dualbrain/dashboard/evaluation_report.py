@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -36,9 +37,12 @@ class Shot:
     rgb: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Told:
-    """What a report is made of; `asked` are the times of decisions that were really made [s]."""
+    """What a report is made of; `asked` are the times of decisions that were really made [s].
+
+    Tables and charts are made once, for both forms of a report.
+    """
 
     rows: Sequence[Row]
     suite: Suite
@@ -48,6 +52,36 @@ class Told:
     date: str = ""
     command: str = ""
 
+    @cached_property
+    def found(self) -> list[Answer]:
+        """The verdicts."""
+        return list(answers(self.rows))
+
+    @cached_property
+    def grids(self) -> list[Grid]:
+        """All tables, the verdicts first."""
+        return list(all_grids(self.rows, self.config))
+
+    @cached_property
+    def missing(self) -> list[str]:
+        """What was not measured."""
+        return missing(self.rows, self.suite)
+
+    @cached_property
+    def curves(self) -> Html:
+        """The chart over repetitions."""
+        return curves(self.rows)
+
+    @cached_property
+    def traces(self) -> Html:
+        """The chart of one place."""
+        return traces(self.rows)
+
+    @cached_property
+    def latencies(self) -> Html:
+        """The chart of latencies."""
+        return latencies(self.rows, self.asked)
+
 
 def write_evaluation(path: Path, told: Told) -> None:
     """Write the report of `told` to `path`."""
@@ -56,24 +90,22 @@ def write_evaluation(path: Path, told: Told) -> None:
 
 def render_evaluation(told: Told) -> str:
     """The report as HTML."""
-    rows, suite = told.rows, told.suite
-    found = answers(rows)
-    first, *rest = all_grids(rows, told.config)
+    first, *rest = told.grids
     parts = (
         _header(told),
-        element("div", *map(_tile, found), class_="tiles"),
+        element("div", *map(_tile, told.found), class_="tiles"),
         _grid(first),
         _grid(rest[0]),
-        _card("Over repetitions", curves(rows), "mean with its 95 % interval; a scene is repeated in its run"),
+        _card("Over repetitions", told.curves, "mean with its 95 % interval; a scene is repeated in its run"),
         *map(_grid, rest[1:4]),
-        _card("One place", traces(rows), traced_pair(rows)),
+        _card("One place", told.traces, traced_pair(told.rows)),
         _gallery(told.gallery),
-        _card("Latency", latencies(rows, told.asked), "share of measurements below; kept answers are not counted"),
+        _card("Latency", told.latencies, "share of measurements below; kept answers are not counted"),
         *map(_grid, rest[4:]),
-        section("What was not measured", element("ul", *(element("li", line) for line in missing(rows, suite)))),
+        section("What was not measured", element("ul", *(element("li", line) for line in told.missing))),
         _origin(told),
     )
-    return document(f"Evaluation {suite.name}", *parts)
+    return document(f"Evaluation {told.suite.name}", *parts)
 
 
 def _header(told: Told) -> Html:
