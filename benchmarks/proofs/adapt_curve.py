@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -59,7 +59,7 @@ SEEDS, FLIGHTS, REACHED = range(3), 240, 280
 STEPS, HALFWAY, BATCH = 100, 50, 4
 """Of a fit, and of a shorter one beside it, whose rate falls as far; samples of a step."""
 A_SLICE, CARRIED_OUT, DRAWS = 20, 6, 16
-"""Questions of each slice, answers of each that are carried out, draws of the first question of each."""
+"""Questions of each slice, answers of each that are carried out, draws at temperature 1 of all, each of another."""
 EPSILON = CleanRules().epsilon
 PLAIN = ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none")
 FULL = ObjectiveDials()
@@ -210,15 +210,10 @@ def asked(stack: Stack, prompt: Prompt) -> Row:
     speaker, names, samples = Speaker(stack), *zip(*questions(), strict=True)
     texts = speaker.answers(samples, [turns(one, prompt) for one in samples])
     answers = [{"slice": name, **told} for name, told in zip(names, map(judged, samples, texts), strict=True)]
-    draws = [valid for one in drawn_from() for valid in drawn(speaker, one, prompt)]
+    draws = drawn(speaker, samples, prompt)
     good = [one for one in answers if right(one) and not one["declines"]]
     flights = [flight(one) for name in SLICES for one in [x for x in good if x["slice"] == name][:CARRIED_OUT]]
     return {"answers": answers, "valid_draws": sum(draws) / len(draws), "flights": flights}
-
-
-def drawn_from() -> list[Sample]:
-    """The first question of each slice."""
-    return [next(one for slice_, one in questions() if slice_ == name) for name in SLICES]
 
 
 def turns(one: Sample, prompt: Prompt) -> list[Message]:
@@ -234,10 +229,11 @@ def turns(one: Sample, prompt: Prompt) -> list[Message]:
     return render(asking) if prompt == "long" else short_messages(with_example(asking))
 
 
-def drawn(speaker: Speaker, one: Sample, prompt: Prompt) -> list[bool]:
-    """Whether each of the answers drawn at temperature 1 is compliant."""
-    texts = speaker.answers([one] * DRAWS, [turns(one, prompt)] * DRAWS, Chance(1.0, range(DRAWS)))
-    return [bool(judged(one, text)["compliant"]) for text in texts]
+def drawn(speaker: Speaker, samples: Sequence[Sample], prompt: Prompt) -> list[bool]:
+    """Whether each of the answers drawn at temperature 1 is compliant; their questions are spread over `samples`."""
+    some = [samples[place * len(samples) // DRAWS] for place in range(DRAWS)]
+    texts = speaker.answers(some, [turns(one, prompt) for one in some], Chance(1.0, range(DRAWS)))
+    return [bool(judged(one, text)["compliant"]) for one, text in zip(some, texts, strict=True)]
 
 
 def flight(one: dict[str, Any]) -> dict[str, Any]:
