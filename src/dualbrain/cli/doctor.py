@@ -119,11 +119,11 @@ def _rendering() -> list[Finding]:
     why = choose_graphics(os.environ)
     from dualbrain.embodiment.body import load_body
     from dualbrain.world.catalogue import open_scene
-    from dualbrain.world.pictures import PACKAGES, Camera
+    from dualbrain.world.pictures import INSTALL, Camera
     from dualbrain.world.plant import Plant
 
     if why:
-        return [Finding("rendering", False, f"{why}. Debian: apt-get install --no-install-recommends {PACKAGES}")]
+        return [Finding("rendering", False, f"{why}. {INSTALL}")]
     with Camera(Plant(open_scene("bare:0"), load_body("panda")), width=64, height=48) as camera:
         picture = camera.snap()
     return [Finding("rendering", bool(picture.any()), f"MUJOCO_GL={os.environ['MUJOCO_GL']}")]

@@ -89,12 +89,9 @@ def _can_see(methods: tuple[str, ...], blind: str) -> None:
 
     seeing = [name for name in methods if find_method(name).eyes == "depth"]
     if seeing and blind:
-        from dualbrain.world.pictures import PACKAGES
+        from dualbrain.world.pictures import INSTALL
 
-        raise MissingPart(
-            f"A GL library for the cameras of {', '.join(seeing)}",
-            fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({blind})",
-        )
+        raise MissingPart(f"A GL library for the cameras of {', '.join(seeing)}", fix=f"{INSTALL} ({blind})")
 
 
 def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:

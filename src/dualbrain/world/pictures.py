@@ -21,6 +21,7 @@ from dualbrain.world.plant import Plant
 
 CAMERAS = ("front", "top", "side")
 PACKAGES = "libosmesa6 libegl1 libgl1-mesa-dri libgl1 libopengl0"
+INSTALL = f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl."
 
 
 class Offscreen:
@@ -68,10 +69,7 @@ def open_renderer(
     try:
         renderer = mujoco.Renderer(plant.model, height, width)
     except Exception as error:
-        raise MissingPart(
-            "A GL library for offscreen pictures",
-            fix=f"Debian: apt-get install --no-install-recommends {PACKAGES}; MUJOCO_GL=osmesa or egl. ({error})",
-        ) from error
+        raise MissingPart("A GL library for offscreen pictures", fix=f"{INSTALL} ({error})") from error
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = int(shadows)
     renderer.scene.flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
     option = mujoco.MjvOption()
