@@ -56,7 +56,7 @@ from proofs.speaker import Chance, Speaker
 
 SEEDS, FLIGHTS, REACHED = range(3), 240, 280
 """Of the lessons of a seed so many are deeds that are flown; what is declined comes from the first so many."""
-STEPS, HALFWAY, BATCH = 100, 50, 4
+STEPS, HALFWAY, BATCH = 60, 30, 4
 """Of a fit, and of a shorter one beside it, whose rate falls as far; samples of a step."""
 A_SLICE, CARRIED_OUT, DRAWS = 20, 6, 16
 """Questions of each slice, answers of each that are carried out, draws at temperature 1 of all, each of another."""

@@ -46,6 +46,7 @@ def test_it_says_what_llama_cpp_says(home):
     theirs = wear(stack_of(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48))
     try:
         assert theirs.propose(ASKED).text == ours.text
+        assert theirs.messages(ASKED) == planner(home).messages(ASKED)
     finally:
         theirs.close()
     assert ours.finish_reason == protocol.STOP

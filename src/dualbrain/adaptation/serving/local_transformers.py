@@ -31,6 +31,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.planner import protocol
 from dualbrain.planner.asking import FREE_BY, Asking
 from dualbrain.planner.grammar import contract_grammar
+from dualbrain.planner.prompt import Message
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 from dualbrain.weights import find_file
@@ -91,6 +92,12 @@ class TorchPlanner:
             for start in range(0, len(requests), step)
             for answer in self._together(requests[start : start + step])
         ]
+
+    def messages(self, request: PlanRequest) -> list[Message]:
+        """What the model reads for `request`, with the beginning of the answer that it is given."""
+        beginning = self._asking.beginning(request)
+        given: list[Message] = [{"role": "assistant", "content": beginning}] if beginning else []
+        return [*self._asking.messages(request), *given]
 
     def close(self) -> None:
         """Let go of the model."""
