@@ -10,7 +10,8 @@ from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
-from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.method import METHODS, find_method
+from dualbrain.evaluation.planners import planner_name
 from dualbrain.evaluation.runner import Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
 from dualbrain.evaluation.suite import check_planners, is_due, open_suite, read_suite, shipped
@@ -99,6 +100,15 @@ def test_ranges_of_seeds_are_disjoint(suite):
     for one, other in itertools.combinations((PILOT, START, TRAINING, TEST), 2):
         assert not set(one) & set(other)
     assert {seed for unit in units_of(suite, "start") for seed in unit.seeds} <= set(START)
+
+
+def test_every_ledger_begins_with_random_valid_contracts_whoever_plans(suite):
+    """A greedy planner says nearly the same every time: memory would have nothing to choose from."""
+    planned = msgspec.structs.replace(suite, planners={"base": "base-135m"})
+    (unit,) = units_of(planned, "start")
+    assert unit.count == 2
+    assert planner_name(planned, find_method(unit.method)) == "template"
+    assert {find_method(unit.method).door, find_method(unit.method).guard} == {"gate", True}
 
 
 def test_what_was_cut_off_is_done_once(suite, tmp_path):

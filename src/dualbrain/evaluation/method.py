@@ -10,8 +10,10 @@ from dualbrain.errors import UnknownName
 DoorKind = Literal["syntax", "clip", "gate"]
 """What a proposal has to pass: syntax and authorization; these with clipping and interception; all three stages."""
 Remembers = Literal["none", "static", "dynamic"]
-Asks = Literal["base", "prompted", "adapted", "adapted_no_entropy", "adapted_no_kl", "adapted_all", "adversary"]
-"""Which of the suite's planners answers."""
+Asks = Literal[
+    "base", "prompted", "adapted", "adapted_no_entropy", "adapted_no_kl", "adapted_all", "adversary", "template"
+]
+"""Which of the suite's planners answers; the last two draw their answers and are in no suite."""
 Spoiled = Literal["no", "shortened", "truncated", "overwritten"]
 """What is done to the prompt (paper 6.3); see `spoiled.py`."""
 Eyes = Literal["declared", "depth"]
@@ -52,6 +54,8 @@ M = Method("M", "CBF filter and dynamic memory", memory="dynamic")
 P = Method("P", "CBF filter and adapted planner", asks="adapted")
 PE = Method("PE", "CBF filter and the best prompt for the base planner", asks="prompted")
 FULL = Method("Full", "CBF filter, dynamic memory and adapted planner", memory="dynamic", asks="adapted")
+START = replace(B3, name="start", asks="template", says="B3 with random valid contracts: what every ledger begins with")
+"""No arm. A model that answers greedily says nearly the same every time, and leaves memory nothing to choose from."""
 MAIN = (B1, B2, G, B3, B4, M, P, PE, FULL)
 """The arms of the main table, in its order."""
 
@@ -82,7 +86,9 @@ METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SE
 
 
 def find_method(name: str) -> Method:
-    """The method called `name`; raises `UnknownName`."""
+    """The method called `name`, or `START`; raises `UnknownName`."""
+    if name == START.name:
+        return START
     if name not in METHODS:
         raise UnknownName("method", name, tuple(METHODS), owner="the evaluation")
     return METHODS[name]

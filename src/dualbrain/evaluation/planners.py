@@ -47,7 +47,7 @@ class Sources:
 
 def planner_name(suite: Suite, method: Method) -> str:
     """Who answers for `method`."""
-    return "adversary" if method.asks == "adversary" else suite.planners[method.asks]
+    return method.asks if method.asks in DRAWN else suite.planners[method.asks]
 
 
 class Planners:

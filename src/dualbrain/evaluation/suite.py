@@ -38,7 +38,7 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MemoryPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How methods with memory begin. `start`: episodes that are flown into the ledger from which all of them start.
+    """How methods with memory begin. `start`: random valid contracts, flown into the ledger that all start from.
 
     `epsilon` is ε, or `"pilot"`: the median Δ of the successes among `pilot` episodes of B3 by the base planner, frozen
     before any test. `utility`: every so many-th repetition the planner is asked again without each exemplar; 0: never.
@@ -142,7 +142,7 @@ def check_suite(suite: Suite) -> None:
 def check_planners(suite: Suite) -> None:
     """Refuse a suite in which a method has nobody to ask: before it is flown, as planners may be named that late."""
     for arm in suite.arms:
-        if arm.asks not in suite.planners and arm.asks != "adversary":
+        if arm.asks not in (*suite.planners, "adversary"):
             fix = f"Name it: --planner {arm.asks}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
             raise InvalidSetup(f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.asks, fix=fix)
     if CHANGING in suite.planners.values():

@@ -7,9 +7,9 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.evaluation.method import B3, Method
+from dualbrain.evaluation import seeds
+from dualbrain.evaluation.method import B3, START, Method
 from dualbrain.evaluation.planners import DRAWN, planner_name
-from dualbrain.evaluation.seeds import PILOT, START
 from dualbrain.evaluation.suite import Suite, Task
 
 Stage = Literal["pilot", "start", "plan", "fly"]
@@ -49,10 +49,10 @@ def units_of(suite: Suite, stage: Stage) -> list[Unit]:
     """All the units of one pass. Those of an earlier run come first, so that any prefix compares the same scenes."""
     places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
     if stage == "pilot":
-        return [_apart(suite, stage, place, PILOT, suite.memory.pilot) for place in places if suite.memory.pilot]
+        return [_apart(suite, stage, place, seeds.PILOT, suite.memory.pilot) for place in places if suite.memory.pilot]
     if stage == "start":
         wanted = suite.memory.start and any(arm.remembers for arm in suite.arms)
-        return [_apart(suite, stage, place, START, suite.memory.start) for place in places if wanted]
+        return [_apart(suite, stage, place, seeds.START, suite.memory.start) for place in places if wanted]
     arms = list(suite.arms) if stage == "fly" else _asking(suite)
     return [
         unit
@@ -74,13 +74,14 @@ def _asking(suite: Suite) -> list[Method]:
     return list(found.values())
 
 
-def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], seeds: range, count: int) -> Unit:
+def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], apart: range, count: int) -> Unit:
     """The episodes on seeds of their own, before any test."""
     task, robot = place
     index = suite.tasks.index(task)
-    chosen = tuple(seeds[index * count : (index + 1) * count])
+    chosen = tuple(apart[index * count : (index + 1) * count])
     where = f"{robot} {task.name}"
-    return Unit(stage, f"{stage} {where}", B3.name, robot, task, where, chosen, (0,))
+    method = START if stage == "start" else B3
+    return Unit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
 
 
 def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:
