@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from dualbrain.cli import evaluate
+from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
+from dualbrain.cli.report import command_of
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.evaluation.changes import changes
@@ -182,6 +184,18 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
     assert call(["report", str(tmp_path)]) == 5
     assert "dualbrain evaluate --out" in capsys.readouterr().err
+
+
+def test_a_report_says_by_which_command_it_comes_again(tmp_path):
+    asked = ("paper", "B1,M", "200", "panda", "base=transformers:base-135m")
+    for told in (asked, ("paper", "", "0", "", ""), ("attacks", "", "0", "base", "")):
+        flown = narrowed(told[0], told[1], int(told[2]), told[3], told[4] or "adapted=adapter:x")
+        command = command_of(flown, tmp_path / "there").split()
+        assert command[:2] == ["dualbrain", "evaluate"]
+        said = dict(zip(command[2::2], command[3::2], strict=True))
+        assert said.pop("--out") == "there"
+        again = [said.get(f"--{name}", "") for name in ("suite", "methods", "episodes", "robots", "planner")]
+        assert narrowed(again[0], again[1], int(again[2] or 0), again[3], again[4]) == flown
 
 
 def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):

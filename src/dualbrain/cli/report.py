@@ -52,8 +52,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     answered = [kept.proposal.timings for kept in Plans(folder / PLANS).all()]  # each question once
     asked = [one.get("total", 0.0) for one in answered if one.get("at_once", 1.0) == 1.0]  # and by itself
     date = datetime.now(UTC).strftime("%Y-%m-%d")
-    command = f"dualbrain evaluate --suite {suite.name} --out {folder.name}"
-    told = Told(rows, suite, config, asked, shots, date, command)
+    told = Told(rows, suite, config, asked, shots, date, command_of(suite, folder))
     write_evaluation(folder / "report.html", told)
     pages = page or folder / "page"
     write_page(pages, told)
@@ -107,6 +106,25 @@ def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
         raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
     rows, config = read_table(path)
     return rows, config, msgspec.convert(config["suite"], Suite)
+
+
+def command_of(suite: Any, folder: Path) -> str:
+    """The command that flies `suite` into a folder of that name, with all that differs from the one that is shipped."""
+    from dualbrain.evaluation.suite import open_suite, shipped
+
+    said = ["dualbrain evaluate --suite", suite.name]
+    if suite.name in shipped():
+        ours = open_suite(suite.name)
+        others = {part: name for part, name in suite.planners.items() if ours.planners.get(part) != name}
+        if suite.methods != ours.methods:
+            said += ["--methods", ",".join(suite.methods)]
+        if others:
+            said += ["--planner", ",".join(f"{part}={name}" for part, name in others.items())]
+        if suite.robots != ours.robots:
+            said += ["--robots", ",".join(suite.robots)]
+        if suite.episodes != ours.episodes:
+            said += ["--episodes", str(suite.episodes)]
+    return " ".join([*said, "--out", folder.name])
 
 
 def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[Any]:
