@@ -1,0 +1,112 @@
+"""How long an adapted planner takes for a decision: in torch, with what can be foreseen given ahead, and its peers.
+
+    python benchmarks/planner_speed.py [--count 12] [--threads 1]
+
+Held-out questions to base-135m, bound by the same grammar: llama.cpp as it serves, torch token by token, and torch that
+reads ahead; with no exemplar in the prompt, and with some. Every question goes to all three, one after the other, so
+that whatever else the machine does is shared. Seconds a decision, ratio to llama.cpp (median over questions), and how
+many answers were llama.cpp's to the letter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+
+from dualbrain.adaptation.sample import Sample
+from dualbrain.adaptation.serving import ahead
+from dualbrain.adaptation.serving.opening import open_planner
+from dualbrain.cli.folders import cache, home
+from dualbrain.contracts.schema import short_form
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Exemplar, Recall
+from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.runtime.proposals import ROBOT, instruction_of
+from dualbrain.runtime.vocabulary import vocabulary
+
+NAME = "base-135m"
+LLAMA, PLAIN, AHEAD = "llama.cpp", "torch, token by token", "torch, reading ahead"
+
+
+def main() -> int:
+    """Print one table."""
+    asked = parse(sys.argv[1:])
+    planners = {kind: opened(kind, asked.threads) for kind in (LLAMA, PLAIN, AHEAD)}
+    drawn = lessons(20 * asked.count, "test", robots={ROBOT: 1.0})
+    groups = {
+        "no exemplar": [one for one in drawn if not shown(one)][: asked.count],
+        "one to three exemplars": [one for one in drawn if shown(one)][: asked.count],
+    }
+    for planner in planners.values():
+        planner.propose(request(groups["no exemplar"][0]))  # loads
+    print("| prompt | engine | s a decision | to llama.cpp | answers equal |\n|---|---|---|---|---|")
+    try:
+        for name, questions in groups.items():
+            rounds = [[answer(planner, kind, request(one)) for kind, planner in planners.items()] for one in questions]
+            told = dict(zip(planners, zip(*rounds, strict=True), strict=True))
+            for kind, answers in told.items():
+                print(line(name, kind, answers, told[LLAMA]))
+    finally:
+        for planner in planners.values():
+            planner.close()
+    return 0
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--threads", type=int, default=1)
+    return parser.parse_args(arguments)
+
+
+def opened(kind: str, threads: int) -> Planner:
+    name = NAME if kind == LLAMA else f"transformers:{NAME}"
+    folder, registry = home() / "adapters", vocabulary(ROBOT).hash
+    return open_planner(name, cache(), adapters=folder, robot=ROBOT, registry=registry, threads=threads)
+
+
+def answer(planner: Planner, kind: str, question: PlanRequest) -> tuple[float, str]:
+    """Seconds and text."""
+    usual, ahead.AHEAD = ahead.AHEAD, 1 if kind == PLAIN else ahead.AHEAD
+    try:
+        begun = time.monotonic()
+        text = planner.propose(question).text
+        return time.monotonic() - begun, text
+    finally:
+        ahead.AHEAD = usual
+
+
+def line(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Sequence[tuple[float, str]]) -> str:
+    ratios = [own[0] / other[0] for own, other in zip(answers, theirs, strict=True)]
+    equal = sum(own[1] == other[1] for own, other in zip(answers, theirs, strict=True))
+    mean = statistics.mean(seconds for seconds, _ in answers)
+    return f"| {name} | {kind} | {mean:.1f} | {statistics.median(ratios):.2f} | {equal} of {len(answers)} |"
+
+
+def shown(one: Sample) -> list[str]:
+    """The exemplars in its prompt, each as the steps of a contract."""
+    return re.findall("<example>\n(.*)\n</example>", one.prompt[-1]["content"])
+
+
+def request(one: Sample) -> PlanRequest:
+    """The question that a lesson asks, as the loop asks it."""
+    setting, steps = setting_of(one.scene), map(json.loads, shown(one))
+    registry, names = setting.registry, setting.names
+    recalled = tuple(
+        Exemplar(f"m-{place}", "", "", {"action_sequence": actions}, True, 0.0, 1.0, 0.5, 1.0, place + 1)
+        for place, actions in enumerate(steps)
+    )
+    return PlanRequest(
+        instruction_of(one), setting.summary, Recall(recalled), registry.robot, registry.hash,
+        short_form(registry, names), registry.decoding_schema(names), contract_id="c-0001",
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
