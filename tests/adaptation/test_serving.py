@@ -5,12 +5,15 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import replace
 
 import msgspec
 import pytest
 
 for part in ("torch", "peft", "gguf", "xllamacpp"):
     pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
+import gguf
+import numpy as np
 import torch
 
 from dualbrain import weights
@@ -18,10 +21,11 @@ from dualbrain.adaptation.adapter_card import WEIGHTS, write_card
 from dualbrain.adaptation.adapters import BARE, Adapters
 from dualbrain.adaptation.bases import find_base
 from dualbrain.adaptation.promotion import Decision
-from dualbrain.adaptation.serving import packaged
+from dualbrain.adaptation.serving import gguf_cache, merged_gguf, packaged
 from dualbrain.adaptation.serving.adapted import NotItself
 from dualbrain.adaptation.serving.canary import Record
-from dualbrain.adaptation.serving.gguf_cache import worn
+from dualbrain.adaptation.serving.gguf_base import write_out
+from dualbrain.adaptation.serving.gguf_cache import served, worn
 from dualbrain.adaptation.serving.layers import base_of, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, wear
@@ -199,6 +203,39 @@ def test_a_torn_file_in_the_cache_is_made_again(place):
     whole = path.read_bytes()
     path.write_bytes(whole[:100])
     assert worn(stack, place / "cache")[0].path.read_bytes() == whole
+
+
+def test_a_small_quantised_base_is_served_in_float16_and_any_other_as_it_is(place, tmp_path, monkeypatch):
+    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
+    assert served(stack, tmp_path) == stack.gguf  # float32 already
+    packed = replace(stack, gguf=quantised(stack.gguf, tmp_path / "packed.gguf"))
+    path = served(packed, tmp_path)
+    assert served(replace(packed, layers=()), tmp_path) == path  # what is below the adapter, too: it is compared with
+    for ours, theirs in zip(gguf.GGUFReader(path).tensors, gguf.GGUFReader(packed.gguf).tensors, strict=True):
+        whole = gguf.quants.dequantize(theirs.data, theirs.tensor_type)
+        assert np.array_equal(ours.data, whole.astype(np.float16) if whole.ndim > 1 else whole)
+    path.write_bytes(path.read_bytes()[:-8])
+    assert gguf.GGUFReader(served(packed, tmp_path)).tensors
+    planner = wear(packed, tmp_path, CONFIG, asking=FREE)
+    assert planner._model == path
+    planner.close()
+    monkeypatch.setattr(gguf_cache, "SMALL", 1000.0)
+    assert served(packed, tmp_path) == packed.gguf
+
+
+def quantised(base, out):
+    """The GGUF `base` with all matrices in Q8_0."""
+    reader, writer, kind = gguf.GGUFReader(base), gguf.GGUFWriter(out, "llama"), gguf.GGMLQuantizationType.Q8_0
+    for key, field in reader.fields.items():
+        if key not in merged_gguf.OWN:
+            merged_gguf._copy(writer, key, field)
+    for tensor in reader.tensors:
+        if tensor.data.ndim > 1:
+            writer.add_tensor(tensor.name, gguf.quants.quantize(tensor.data, kind), raw_dtype=kind)
+        else:
+            writer.add_tensor(tensor.name, tensor.data)
+    write_out(writer)
+    return out
 
 
 def test_names(place):
