@@ -85,6 +85,29 @@ def test_it_says_what_is_said_token_by_token(mind, kind, seed):
     assert said(mind, kind, seed=seed, temperature=HEAT, together=False) == wanted
 
 
+class Guessing(Reply):
+    """Guesses three tokens of `truth` each time, or three wrong ones."""
+
+    def __init__(self, one, truth, *, rightly):
+        super().__init__(one.given, end=256, longest=LONGEST)
+        self._truth, self._rightly = truth, rightly
+
+    def following(self):
+        guess = self._truth[len(self.said) : len(self.said) + 3]
+        return [self.said[-1], *(guess if self._rightly else [(token + 7) % 250 for token in guess])]
+
+
+def test_what_one_guessed_wrongly_is_forgotten_while_another_goes_on(mind):
+    plain = replies(mind, "")
+    wanted = [token_by_token(mind, one, None) for one in plain]
+    ours = [
+        Guessing(one, truth, rightly=place % 2 == 0)
+        for place, (one, truth) in enumerate(zip(plain, wanted, strict=True))
+    ]
+    speak(mind[0], ours)
+    assert [one.said for one in ours] == wanted
+
+
 def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):
     counted = []
     inner = ahead._Memory.read

@@ -10,7 +10,7 @@ import pytest
 from dualbrain.cli import evaluate
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
-from dualbrain.cli.report import command_of
+from dualbrain.cli.report import command_of, decisions
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.evaluation.changes import changes
@@ -20,13 +20,17 @@ from dualbrain.evaluation.grids import cell, failures, families, methods_of, num
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.runner import STAGES
 from dualbrain.evaluation.statistics import Estimate
 from dualbrain.evaluation.suite import read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
+from dualbrain.planner.protocol import STOP
+from dualbrain.records import Proposal
 from tests.evaluation.rows import COLLISION, row
 from tests.evaluation.test_runner import SUITE
+from tests.planner.questions import request
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
 
@@ -184,6 +188,13 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
     assert call(["report", str(tmp_path)]) == 5
     assert "dualbrain evaluate --out" in capsys.readouterr().err
+
+
+def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
+    for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
+        answer = Proposal("{}", STOP, "it", "", {"total": total, **more})
+        Plans(tmp_path / "plans").keep("it", request(instruction=f"put the cube down, {total}"), answer)
+    assert sorted(decisions(tmp_path)) == [2.0, 3.0]
 
 
 def test_a_report_says_by_which_command_it_comes_again(tmp_path):

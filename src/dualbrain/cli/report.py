@@ -40,8 +40,6 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     blind = choose_graphics(os.environ)
     from dualbrain.dashboard.evaluation_page import PAGE, write_page
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
-    from dualbrain.evaluation.plans import Plans
-    from dualbrain.evaluation.work import PLANS
 
     rows, config, suite = results(folder)
     account = Account()
@@ -49,10 +47,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     shots = [] if blind or not count else _shots(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    answered = [kept.proposal.timings for kept in Plans(folder / PLANS).all()]  # each question once
-    asked = [one.get("total", 0.0) for one in answered if one.get("at_once", 1.0) == 1.0]  # and by itself
     date = datetime.now(UTC).strftime("%Y-%m-%d")
-    told = Told(rows, suite, config, asked, shots, date, command_of(suite, folder))
+    told = Told(rows, suite, config, decisions(folder), shots, date, command_of(suite, folder))
     write_evaluation(folder / "report.html", told)
     pages = page or folder / "page"
     write_page(pages, told)
@@ -106,6 +102,15 @@ def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
         raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
     rows, config = read_table(path)
     return rows, config, msgspec.convert(config["suite"], Suite)
+
+
+def decisions(folder: Path) -> list[float]:
+    """How long the decisions took that were really made [s]: each question once, if it was asked by itself."""
+    from dualbrain.evaluation.plans import Plans
+    from dualbrain.evaluation.work import PLANS
+
+    answered = [kept.proposal.timings for kept in Plans(folder / PLANS).all()]
+    return [one.get("total", 0.0) for one in answered if one.get("at_once", 1.0) == 1.0]
 
 
 def command_of(suite: Any, folder: Path) -> str:
