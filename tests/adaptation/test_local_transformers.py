@@ -67,7 +67,8 @@ def test_a_time_limit_is_a_finish_reason(home):
     assert planner(home, timeout_s=0.0).propose(ASKED).finish_reason == protocol.TIMEOUT
 
 
-def test_what_it_was_not_taught_is_refused(home):
+def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monkeypatch):
+    monkeypatch.setattr(local_transformers, "dressed", None)
     for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
         with pytest.raises(InvalidSetup):
             planner(home).propose(request(**wrong))

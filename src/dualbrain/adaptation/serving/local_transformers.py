@@ -104,6 +104,9 @@ class TorchPlanner:
         self._loaded = None
 
     def _together(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
+        for request in requests:
+            if self.stack.layers:
+                require_fit(self.stack.top, request.robot, request.registry_hash)
         grammars = [self._grammar(request) for request in requests]
         begun = self._clock()
         model, tokenizer, vocabulary = self._load()
@@ -123,8 +126,6 @@ class TorchPlanner:
         ]
 
     def _reply(self, request: PlanRequest, beginning: str, grammar: str, tokenizer: Any, vocabulary: Any) -> Reply:
-        if self.stack.layers:
-            require_fit(self.stack.top, request.robot, request.registry_hash)
         turns = [{"role": turn["role"], "content": turn["content"]} for turn in self._asking.messages(request)]
         given = [*prompt_ids(tokenizer, turns)]
         given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
