@@ -11,23 +11,23 @@ many answers were llama.cpp's to the letter.
 from __future__ import annotations
 
 import argparse
-import json
-import re
 import statistics
 import sys
 import time
 from collections.abc import Sequence
 
+import msgspec
+from proofs.language import shown
+
 from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving import ahead
 from dualbrain.adaptation.serving.opening import open_planner
 from dualbrain.cli.folders import cache, home
-from dualbrain.contracts.schema import short_form
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, Recall
-from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.runtime.proposals import ROBOT, instruction_of
+from dualbrain.runtime.classroom import lessons
+from dualbrain.runtime.proposals import ROBOT, request_of
 from dualbrain.runtime.vocabulary import vocabulary
 
 NAME = "base-135m"
@@ -89,23 +89,13 @@ def line(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Seq
     return f"| {name} | {kind} | {mean:.1f} | {statistics.median(ratios):.2f} | {equal} of {len(answers)} |"
 
 
-def shown(one: Sample) -> list[str]:
-    """The exemplars in its prompt, each as the steps of a contract."""
-    return re.findall("<example>\n(.*)\n</example>", one.prompt[-1]["content"])
-
-
 def request(one: Sample) -> PlanRequest:
-    """The question that a lesson asks, as the loop asks it."""
-    setting, steps = setting_of(one.scene), map(json.loads, shown(one))
-    registry, names = setting.registry, setting.names
+    """The question that a lesson asks, with what it shows as if memory had recalled it."""
     recalled = tuple(
-        Exemplar(f"m-{place}", "", "", {"action_sequence": actions}, True, 0.0, 1.0, 0.5, 1.0, place + 1)
-        for place, actions in enumerate(steps)
+        Exemplar(f"m-{rank}", "", "", {"action_sequence": msgspec.to_builtins(steps)}, True, 0.0, 1.0, 0.5, 1.0, rank)
+        for rank, steps in enumerate(shown(one), start=1)
     )
-    return PlanRequest(
-        instruction_of(one), setting.summary, Recall(recalled), registry.robot, registry.hash,
-        short_form(registry, names), registry.decoding_schema(names), contract_id="c-0001",
-    )  # fmt: skip
+    return request_of(one, Recall(recalled))
 
 
 if __name__ == "__main__":

@@ -28,23 +28,20 @@ from dualbrain.adaptation.sample import Sample
 from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.cli import folders
-from dualbrain.contracts.schema import short_form
 from dualbrain.evaluation.prompted import with_example
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.planner.asking import short_messages
 from dualbrain.planner.prompt import Message, render
-from dualbrain.planner.request import PlanRequest
-from dualbrain.records import Recall
-from dualbrain.runtime.classroom import lessons, setting_of
+from dualbrain.runtime.classroom import lessons
 from dualbrain.runtime.proposals import (
     LEDGER,
     ROBOT,
     declined,
     flown,
-    instruction_of,
     memory_of,
     proposals,
     proposed,
+    request_of,
 )
 from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.world.catalogue import open_scene
@@ -220,12 +217,7 @@ def turns(one: Sample, prompt: Prompt) -> list[Message]:
     """The question as it was taught, with a worked example, or with rules, skills and worked examples."""
     if prompt == "short":
         return one.prompt  # pyright: ignore[reportReturnType]
-    setting = setting_of(one.scene)
-    registry, names = setting.registry, setting.names
-    asking = PlanRequest(
-        instruction_of(one), setting.summary, Recall(), registry.robot, registry.hash, short_form(registry, names),
-        registry.decoding_schema(names), contract_id="c-0001",
-    )  # fmt: skip
+    asking = request_of(one)
     return render(asking) if prompt == "long" else short_messages(with_example(asking))
 
 

@@ -88,7 +88,6 @@ def measure(
 
 def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:
     """What one of the two did."""
-    from dualbrain.adaptation.serving.gguf_cache import served
     from dualbrain.adaptation.serving.measure import measure as ask
     from dualbrain.adaptation.serving.opening import N_CTX, wear
     from dualbrain.adaptation.serving.speaking import runtime_of
@@ -99,7 +98,7 @@ def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, thr
     planner = wear(stack, cache(), LlamaConfig(threads=threads, n_ctx=N_CTX), called=short, asking=FREE)
     try:
         found = ask(
-            planner, asked, registry, adapter=who, runtime=runtime_of(served(stack, cache())), fly=flight,
+            planner, asked, registry, adapter=who, runtime=runtime_of(planner.model), fly=flight,
             tell=lambda done, of, trial: account.print(f"{short} {done}/{of}: {_word(trial)}"),
         )  # fmt: skip
     finally:

@@ -61,6 +61,11 @@ class LlamaPlanner:
         return self._name
 
     @property
+    def model(self) -> Path:
+        """The GGUF file that it runs."""
+        return self._model
+
+    @property
     def pid(self) -> int | None:
         """Process id of the child, None while there is none."""
         return self._child.pid if self._child else None

@@ -13,8 +13,10 @@ from itertools import count
 from pathlib import Path
 
 from dualbrain.adaptation.sample import Sample, from_lines, to_lines
-from dualbrain.records import Episode
-from dualbrain.runtime.classroom import lessons
+from dualbrain.contracts.schema import short_form
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Episode, Recall
+from dualbrain.runtime.classroom import lessons, setting_of
 from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
 from dualbrain.runtime.steps import carry_on
@@ -96,6 +98,16 @@ def memory_of(turn: int) -> str:
 def turn_of(memory: str) -> int:
     """The turn that a memory of such a ledger is of."""
     return int(memory.removeprefix("p-"))
+
+
+def request_of(one: Sample, recall: Recall | None = None) -> PlanRequest:
+    """The question of a lesson as the loop asks it, with what was recalled."""
+    setting = setting_of(one.scene)
+    registry, names = setting.registry, setting.names
+    return PlanRequest(
+        instruction_of(one), setting.summary, recall or Recall(), registry.robot, registry.hash,
+        short_form(registry, names), registry.decoding_schema(names), contract_id="c-0001",
+    )  # fmt: skip
 
 
 def instruction_of(one: Sample) -> str:

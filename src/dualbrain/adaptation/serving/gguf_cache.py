@@ -26,12 +26,19 @@ def served(stack: Stack, cache: Path) -> Path:
     """The base file on which the adapters of `stack` are worn: of a small one that is quantised, the same in float16.
 
     For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
-    (docs/serving.md).
+    (docs/serving.md). To read what a base holds takes seconds, so that is done only where size and cache do not decide.
     """
-    in_half = 2 * sum(prod(shape) for shape in read_gguf_base(stack.gguf).shapes.values())
-    if in_half > SMALL or stack.gguf.stat().st_size > in_half:
+    path, size = (
+        _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf",
+        stack.gguf.stat().st_size,
+    )
+    if size > SMALL / 2:  # with 8 bits or less a number, too large in half precision; with more, as good as that
         return stack.gguf
-    path = _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf"
+    if _is_whole(path):
+        return path
+    in_half = 2 * sum(prod(shape) for shape in read_gguf_base(stack.gguf).shapes.values())
+    if in_half > SMALL or size > in_half:
+        return stack.gguf
     return _made(path, lambda: write_merged({}, stack.gguf, path))
 
 
@@ -54,12 +61,18 @@ def _converted(layer: Layer, stack: Stack, folder: Path) -> Path:
 
 def _made(path: Path, make: Callable[[], object]) -> Path:
     """The file at `path`; one that was torn or changed is made again."""
-    stamp = path.with_suffix(".sha256")
-    if not (path.is_file() and stamp.is_file() and _hash(path) == stamp.read_text()):
+    if not _is_whole(path):
+        stamp = path.with_suffix(".sha256")
         stamp.unlink(missing_ok=True)
         make()
         write_durably(stamp, _hash(path).encode())
     return path
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the file is there, as it was made."""
+    stamp = path.with_suffix(".sha256")
+    return path.is_file() and stamp.is_file() and _hash(path) == stamp.read_text()
 
 
 def _hash(path: Path) -> str:

@@ -97,8 +97,8 @@ def open_adapter(
     if robot:
         require_fit(card, robot, registry)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
-    watch = watch_of(stack, cache, adapters, chosen)
-    return AdaptedPlanner(wear(stack, cache, chosen, called=author(name, stack), asking=asking), card, watch)
+    planner = wear(stack, cache, chosen, called=author(name, stack), asking=asking)
+    return AdaptedPlanner(planner, card, watch_of(planner, stack, cache, adapters, chosen))
 
 
 def _in_torch(
@@ -132,7 +132,7 @@ def examine(folder: Path, cache: Path, adapters: Path) -> str:
     require_prompt(stack.top)
     planner = wear(stack, cache, config)
     try:
-        return watch_of(stack, cache, adapters, config)(planner, most=len(SCENES))
+        return watch_of(planner, stack, cache, adapters, config)(planner, most=len(SCENES))
     finally:
         planner.close()
 
@@ -143,9 +143,9 @@ def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", as
     return LlamaPlanner(called or stack.base, base, config, asking=asking, adapters=adapters)
 
 
-def watch_of(stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> Watch:
-    """The canaries of the adapter on top."""
-    runtime = runtime_of(served(stack, cache))
+def watch_of(planner: LlamaPlanner, stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> Watch:
+    """The canaries of the adapter on top, in the runtime of `planner`, which wears it."""
+    runtime = runtime_of(planner.model)
     return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config))
 
 
