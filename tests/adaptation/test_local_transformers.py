@@ -80,5 +80,8 @@ def test_it_is_opened_by_name(home):
     assert isinstance(opened, TorchPlanner)
     assert opened.name.startswith("tiny+")
     assert open_planner("transformers:tiny", home / "cache", **told).name == "tiny in torch"
+    for wrong in ("bse-135m", "", "efficientnet-lite0"):
+        with pytest.raises(UnknownName, match="base-135m"):
+            open_planner(f"transformers:{wrong}", home / "cache", **told)
     with pytest.raises(UnknownName):
         open_planner("transformers:nobody", home / "cache", **told)

@@ -28,10 +28,8 @@ def served(stack: Stack, cache: Path) -> Path:
     For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
     (docs/serving.md). To read what a base holds takes seconds, so that is done only where size and cache do not decide.
     """
-    path, size = (
-        _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf",
-        stack.gguf.stat().st_size,
-    )
+    path = _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf"
+    size = stack.gguf.stat().st_size
     if size > SMALL / 2:  # with 8 bits or less a number, too large in half precision; with more, as good as that
         return stack.gguf
     if _is_whole(path):

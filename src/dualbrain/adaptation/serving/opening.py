@@ -118,6 +118,9 @@ def _in_torch(
     config = TorchConfig(threads=threads, timeout_s=timeout_s)
     full, short = (unbound(FULL), unbound(SHORT)) if free else (FULL, SHORT)
     if not is_adapter(name):
+        if name not in (models := plain.planner_names()):
+            known = (*models, *packaged_names(), f"{PREFIX}ID")
+            raise UnknownName("planner in torch", name, known, owner="this installation")
         return TorchPlanner(f"{name} in torch", Stack(name, locate(name, cache), ()), cache, full, config)
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     require_prompt(stack.top)
