@@ -8,8 +8,6 @@ pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 from dualbrain.adaptation.fitting.batch import IGNORED, Batch, collate, contract_states  # noqa: E402
 from tests.adaptation.tiny import learner, moved, samples  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
-
 
 @pytest.fixture(params=["sdpa", "eager"])
 def one(request):

@@ -13,15 +13,14 @@ from dualbrain.adaptation.durable import DiskFull
 from dualbrain.errors import InvalidSetup
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
-peft = pytest.importorskip("peft", reason="the extra `adapt` is not installed")
+pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
 from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
 from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
 from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Diverged  # noqa: E402
+from dualbrain.adaptation.fitting.worn import worn  # noqa: E402
 from tests.adaptation.bench import Bench, dataset, dials, exactly, sample  # noqa: E402
 from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
-
-pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +176,7 @@ def test_an_adapter_is_what_peft_loads(tmp_path):
     one = moved(learner())
     write_adapter(one, tmp_path / "adapter", base="sha256 of the base")
     one.wear({name: tensor.to(torch.bfloat16).float() for name, tensor in one.adapter().items()})
-    loaded = peft.PeftModel.from_pretrained(model(), tmp_path / "adapter")
+    loaded = worn(model(), tmp_path / "adapter")
     batch = collate(samples(3), one.padding)
     mask = batch.ids != one.padding
     with torch.no_grad():

@@ -21,8 +21,6 @@ from dualbrain.adaptation.fitting.precision import choose  # noqa: E402
 from dualbrain.errors import InvalidSetup  # noqa: E402
 from tests.adaptation.tiny import learner, moved, samples  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
-
 P, P0 = (0.7, 0.2, 0.1), (0.1, 0.3, 0.6)
 
 

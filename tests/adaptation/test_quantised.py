@@ -17,7 +17,6 @@ from dualbrain.adaptation.fitting.loop import run_key  # noqa: E402
 from tests.adaptation import bench  # noqa: E402
 from tests.adaptation.tiny import model, samples, tokenizer  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
 NF4 = bench.dials(quantise="nf4")
 
 

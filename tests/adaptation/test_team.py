@@ -17,7 +17,6 @@ pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 from dualbrain.adaptation.fitting.launched import gathered  # noqa: E402
 from tests.adaptation.bench import DEFAULT, Bench, dials  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*is_gradient_checkpointing.*:FutureWarning")  # peft asks for it
 FORK = multiprocessing.get_context("fork")
 PATIENCE = 50.0
 """Who has not answered after so many seconds hangs."""

@@ -171,6 +171,22 @@ def test_a_worker_that_dies_costs_its_unit_only(suite, tmp_path):
     assert [(unit.method, unit.done) for unit in left] == [("M", 1), ("M", 1)]
 
 
+def make_hanging():
+    def hanging(unit):
+        yield from itertools.islice(lines_of(unit), 1)
+        while unit.method == "M":
+            pass
+
+    return hanging
+
+
+def test_a_worker_that_hangs_is_ended_and_the_others_go_on(suite, tmp_path):
+    told = []
+    assert not runner(suite, tmp_path, told).advance("fly", Processes(make_hanging, 2, silent_s=3.0))
+    assert sum("exit code -9, after nothing was heard of it for 3 s" in progress.error for progress in told) == 2
+    assert {unit.method for unit in runner(suite, tmp_path).left("fly")} == {"M"}
+
+
 def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
     runner(suite, tmp_path).prepare({"code": "aaa"})
     runner(suite, tmp_path).prepare({"code": "aaa"})

@@ -2,7 +2,8 @@ import threading
 
 import pytest
 
-from dualbrain.runtime.steps import carry_on
+from dualbrain.errors import InvalidSetup
+from dualbrain.runtime.steps import alone, carry_on
 
 
 def note(number, here):
@@ -47,3 +48,14 @@ def test_two_that_want_the_same_steps_do_them_once(tmp_path):
     for one in both:
         one.join()
     assert done == list(range(20))
+
+
+def test_who_does_not_want_to_wait_is_told_that_somebody_is_there(tmp_path):
+    with (
+        alone(tmp_path, wait=False),
+        pytest.raises(InvalidSetup, match=r"another process works in it.*another folder"),
+        alone(tmp_path, wait=False),
+    ):
+        pass
+    with alone(tmp_path, wait=False):
+        pass

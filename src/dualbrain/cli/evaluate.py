@@ -70,6 +70,7 @@ def evaluate(
 
     blind = choose_graphics(os.environ)  # before MuJoCo is imported, here and in every worker
     from dualbrain.evaluation.runner import Runner
+    from dualbrain.runtime.steps import alone
 
     chosen = narrowed(suite, only, episodes, robots, planner)
     folder = out or Path("runs") / f"evaluate-{chosen.name}"
@@ -80,7 +81,8 @@ def evaluate(
     _can_see(chosen.methods, blind)
     if again:
         return _again(runner, again, as_json=json)
-    return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
+    with alone(folder, wait=False):
+        return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
 
 
 def _can_see(methods: tuple[str, ...], blind: str) -> None:

@@ -1,15 +1,17 @@
 """Who carries out units: any crew that keeps one small promise; here, processes of this machine.
 
-A worker ends when its pipe closes, so none outlives its parent by more than the episode under way; a worker that dies
-costs only the unit that it held, which the next start goes on with.
+A worker ends when its pipe closes, so none outlives its parent by more than the episode under way; a worker that dies,
+or is silent for too long and is ended for that, costs only the unit that it held, which the next start goes on with.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import wait
 from typing import Any, Protocol
@@ -20,12 +22,23 @@ from dualbrain.evaluation.unit import Unit
 
 Do = Callable[[Unit], Iterator[dict[str, Any]]]
 """Carries out one unit, line by line."""
-
-
 Worker = tuple[Any, Any]
 """Its end of the pipe, and its process."""
-Busy = dict[Any, tuple[Any, Unit]]
-"""By pipe: the process, and the unit that it has."""
+SILENT_S = 3600.0
+"""A worker that told nothing for so long hangs [s]; the planner's answers to a whole unit come together."""
+
+
+@dataclass(slots=True)
+class Held:
+    """What is known of a busy worker: its process, the unit that it has, when it last told something [s]."""
+
+    process: Any
+    unit: Unit
+    heard: float
+
+
+Busy = dict[Any, Held]
+"""By pipe."""
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -60,9 +73,9 @@ class Alone:
 class Processes:
     """`jobs` processes, each handed a unit whenever it is free. `make` builds `Do` in the worker; it is pickled."""
 
-    def __init__(self, make: Callable[[], Do], jobs: int) -> None:
+    def __init__(self, make: Callable[[], Do], jobs: int, *, silent_s: float = SILENT_S) -> None:
         """Nothing is started before there is work."""
-        self._make, self._jobs, self._context = make, jobs, get_context("spawn")
+        self._make, self._jobs, self._silent_s, self._context = make, jobs, silent_s, get_context("spawn")
 
     def carry_out(self, units: Iterable[Unit]) -> Iterator[Report]:
         """Reports of all workers, as they come."""
@@ -72,21 +85,23 @@ class Processes:
             for unit in (unit for _ in range(self._jobs) for unit in [next(left, None)] if unit):
                 self._hand(busy, self._hire(), unit)
             while busy:
-                for pipe in wait(list(busy)):
+                for pipe in wait(list(busy), self._silent_s):
                     yield from self._hear(busy, pipe, left)
+                self._end_silent(busy)
         finally:
-            for process, _ in busy.values():
-                process.terminate()
+            for held in busy.values():
+                held.process.terminate()
 
     def _hear(self, busy: Busy, pipe: Any, left: Iterator[Unit]) -> Iterator[Report]:
         """One report; at the end of a unit the worker gets the next one."""
-        process, unit = busy[pipe]
-        worker: Worker | None = (pipe, process)
+        held = busy[pipe]
+        worker: Worker | None = (pipe, held.process)
         try:
             report: Report = pipe.recv()
+            held.heard = time.monotonic()
         except EOFError:
-            process.join()
-            report = Report(unit, error=f"the worker died with exit code {process.exitcode}")
+            held.process.join()
+            report = Report(held.unit, error=self._died(held))
             pipe.close()
             worker = None
         if report.line is None:
@@ -98,6 +113,19 @@ class Processes:
                 pipe.close()
         yield report
 
+    def _end_silent(self, busy: Busy) -> None:
+        """End the workers that hang; their pipes then tell that they died."""
+        for held in busy.values():
+            if self._is_silent(held):
+                held.process.kill()
+
+    def _died(self, held: Held) -> str:
+        why = f", after nothing was heard of it for {self._silent_s:.0f} s" if self._is_silent(held) else ""
+        return f"the worker died with exit code {held.process.exitcode}{why}"
+
+    def _is_silent(self, held: Held) -> bool:
+        return time.monotonic() - held.heard >= self._silent_s
+
     def _hire(self) -> Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_work, args=(theirs, self._make), daemon=False)
@@ -108,7 +136,7 @@ class Processes:
     @staticmethod
     def _hand(busy: Busy, worker: Worker, unit: Unit) -> None:
         pipe, process = worker
-        busy[pipe] = (process, unit)
+        busy[pipe] = Held(process, unit, time.monotonic())
         pipe.send(unit)
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dualbrain.errors import InvalidSetup
+
 
 def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start: Path | None = None) -> Path:
     """Do what is left of `steps` steps in `folder`; returns the folder that the last one left.
@@ -34,11 +36,18 @@ def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start
 
 
 @contextmanager
-def alone(folder: Path) -> Generator[None]:
-    """Nobody else works in `folder` meanwhile; whoever wants to waits. It is made, and is free again after a kill."""
+def alone(folder: Path, *, wait: bool = True) -> Generator[None]:
+    """Nobody else works in `folder` meanwhile; whoever wants to waits. It is made, and is free again after a kill.
+
+    Without `wait` it raises `InvalidSetup` instead.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError as error:
+            fix = f"Wait until it is done, stop it, or name another folder. {folder}"
+            raise InvalidSetup("folder", got="another process works in it", allowed="one at a time", fix=fix) from error
         yield
 
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +14,7 @@ from torch import Tensor
 
 from dualbrain.adaptation.config import FitDials
 from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
+from dualbrain.adaptation.fitting.worn import unremarked
 from dualbrain.errors import InvalidSetup
 
 EXACT = {torch.float32: 1e-3, torch.bfloat16: 2.0**-7}
@@ -31,8 +31,7 @@ class Learner:
         shape = LoraConfig(
             r=dials.rank, lora_alpha=dials.alpha, lora_dropout=0.0, target_modules="all-linear", task_type="CAUSAL_LM"
         )
-        with warnings.catch_warnings():  # peft reads a property that transformers is about to rename
-            warnings.simplefilter("ignore", FutureWarning)
+        with unremarked():
             self.model = get_peft_model(model, shape, autocast_adapter_dtype=False)
         self.model.eval()  # there is no dropout; what evaluation and training compute must be the same
         self.decoder, self.head = model.get_decoder(), model.get_output_embeddings().weight.detach()

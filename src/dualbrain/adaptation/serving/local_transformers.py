@@ -18,11 +18,11 @@ from typing import Any
 
 import jsonschema_rs
 import torch
-from peft import PeftModel
 
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
+from dualbrain.adaptation.fitting.worn import worn
 from dualbrain.adaptation.serving.ahead import Reply, speak
 from dualbrain.adaptation.serving.bound_decoding import Binding, llguidance, vocabulary_of
 from dualbrain.adaptation.serving.fitness import require_fit
@@ -43,7 +43,7 @@ def dressed(stack: Stack, cache: Path) -> tuple[Any, Any]:
     base = Base(stack.base, stack.gguf, find_file(stack.base).sha256, below)
     model, tokenizer = open_base(base, cache, torch.float32)
     if stack.layers:
-        model = PeftModel.from_pretrained(model, str(stack.layers[-1].folder)).eval()
+        model = worn(model, stack.layers[-1].folder)
     return model, tokenizer
 
 
