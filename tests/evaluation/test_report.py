@@ -10,9 +10,10 @@ import pytest
 from dualbrain.cli import evaluate
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
-from dualbrain.cli.report import command_of, decisions
+from dualbrain.cli.report import command_of, decisions, results
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
+from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.gallery import chosen
@@ -22,14 +23,15 @@ from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.report_tables import all_grids
-from dualbrain.evaluation.runner import STAGES
+from dualbrain.evaluation.runner import STAGES, Runner
 from dualbrain.evaluation.statistics import Estimate
 from dualbrain.evaluation.suite import read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
+from dualbrain.evaluation.unit import units_of
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from tests.evaluation.rows import COLLISION, row
-from tests.evaluation.test_runner import SUITE
+from tests.evaluation.test_runner import SUITE, lines_of
 from tests.planner.questions import request
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
@@ -188,6 +190,22 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
     assert call(["report", str(tmp_path)]) == 5
     assert "dualbrain evaluate --out" in capsys.readouterr().err
+
+
+def test_a_run_under_way_can_be_read(tmp_path):
+    """Before the table is written there are only journals; a folder in which nothing is flown yet has no results."""
+    suite = read_suite(SUITE, "tiny.toml")
+    runner = Runner(suite, tmp_path, clock=lambda: 0.0, tell=lambda progress: None)
+    runner.prepare({"code": "abc"})
+    with pytest.raises(InvalidSetup, match="Fly them first"):
+        results(tmp_path)
+    run = next(unit for unit in units_of(suite, "fly") if unit.method == "M")
+    for line in list(lines_of(run))[:4]:
+        runner.journal("fly").append(line)
+    found, config, told = results(tmp_path)
+    assert found == runner.rows()
+    assert [one.key for one in found] == [run.row_key(order) for order in range(4)]
+    assert (config["origin"], told) == ({"code": "abc"}, suite)
 
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):

@@ -92,11 +92,18 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
 
 
 def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
-    """Rows, configuration and suite of the results in `folder`."""
+    """Rows, configuration and suite of the results in `folder`; of a run under way, what is done of it."""
+    from dualbrain.evaluation.runner import CONFIG, Runner
     from dualbrain.evaluation.suite import Suite
     from dualbrain.evaluation.table_file import FILE, read_table
 
-    path = folder / FILE
+    path, written = folder / FILE, folder / CONFIG
+    if written.is_file() and not path.is_file():
+        config = msgspec.json.decode(written.read_bytes())
+        suite = msgspec.convert(config["suite"], Suite)
+        rows = Runner(suite, folder, clock=time.monotonic, tell=lambda progress: None).rows()
+        if rows:
+            return rows, config, suite
     if not path.is_file():
         fix = f"Fly them first: dualbrain evaluate --out {folder}"
         raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
