@@ -35,8 +35,9 @@ from dualbrain.memory.filters import Columns, Filter
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.index import vector_of
 from dualbrain.memory.ledger import Entry, Ledger
+from dualbrain.memory.plasticity import BANDWIDTH
 from dualbrain.memory.provenance import Provenance
-from dualbrain.memory.retrieval import Query, Scan
+from dualbrain.memory.retrieval import Query, Scan, worth
 from dualbrain.memory.state import Memo
 from dualbrain.memory.store import Memory
 from dualbrain.memory.trace import payload
@@ -45,6 +46,8 @@ DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
 PEERS = HERE.parent / "build" / "memory_peers" / "venv" / "bin" / "python"
 WHERE = Filter(ROBOT, REGISTRY, "follow", skills=("grasp",), after=START)
+COUNTED, TIMES = Filter(ROBOT, REGISTRY), 5
+"""Whose weights count for a contract, and how many memories each has."""
 
 
 def main() -> int:
@@ -90,11 +93,14 @@ def search(n: int, rounds: int) -> dict[str, float]:
 
 
 def _top(scan: Scan, columns: Columns, query: np.ndarray) -> object:
-    return scan.top(scan.compare(Query.plain(query)), columns.mask(WHERE), TOP, LAMBDA)
+    compared = scan.compare(Query.plain(query))
+    weights = worth(compared, scan.weights, columns.contracts, columns.mask(COUNTED), BANDWIDTH)
+    return scan.top(compared, columns.mask(WHERE), TOP, LAMBDA, weights)
 
 
 def _memo(row: int, kind: Any) -> Memo:
-    origin = Provenance("planner", skills=("grasp", "place") if row % 2 else ("grasp",))
+    skills = ("grasp", "place") if row % 2 else ("grasp",)
+    origin = Provenance("planner", contract=str(row // TIMES), skills=skills)
     return Memo(str(row), row, START + row, "", ROBOT, REGISTRY, kind, 0.001, origin, "active", 0.5, 0.5)
 
 

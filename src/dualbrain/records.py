@@ -147,8 +147,9 @@ class Scene(Record, frozen=True):
 class Exemplar(Record, frozen=True):
     """One remembered episode with the parts of its retrieval score R = λ_s s + (1 − λ_s) w (paper 5.2).
 
-    `rank` counts from 1 in its list; `reason` says why it did not succeed ("" if it did). `parts` is the cosine of each
-    block of the embedding that both have (instruction, summary, symbols, image, state).
+    `weight` is what all memories of its contract tell near the question. `rank` counts from 1 in its list; `reason` is
+    why it did not succeed ("" if it did). `parts` is the cosine of each block of the embedding that both have
+    (instruction, summary, symbols, image, state).
     """
 
     episode_id: str

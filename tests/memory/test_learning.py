@@ -17,6 +17,7 @@ from dualbrain.memory.trust import Trust
 
 from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
+SCENE = "neighbour_across low"
 WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=Trust.none())
 
 
@@ -54,6 +55,45 @@ def test_how_one_contract_went_says_nothing_of_others_in_the_same_place(tmp_path
         bare = {"id": "c-1", "context": {}, "action_sequence": []}
         assert memory.store(episode("nothing", "failed", plan=bare), REST, now=NOW).neighbours == 0
         assert memory.store(episode("again", "failed", plan=bare), REST, now=NOW).neighbours == 0
+
+
+def test_an_outcome_teaches_the_exemplar_that_was_followed(tmp_path: Path) -> None:
+    """What stood beside it is another contract; of two that are equally near, both were followed."""
+    slow, fast = (contract("cup") for _ in range(2))
+    slow["action_sequence"][0]["params"] |= {"speed": 0.1, "force": 5.0}
+    fast["action_sequence"][0]["params"] |= {"speed": 0.3, "force": 5.0}
+    between = contract("cup")
+    between["action_sequence"][0]["params"] |= {"speed": 0.2, "force": 5.0}
+    other = {"id": "c-1", "context": {}, "action_sequence": [{"skill": "home", "params": {}}]}
+    for done, moved in ((fast, {"fast"}), (slow, {"slow"}), (between, {"slow", "fast"}), (other, set[str]())):
+        with open_ledger(tmp_path, f"{moved}.db") as ledger:
+            memory = open_memory(ledger, CONFIG)
+            for name, plan in (("slow", slow), ("fast", fast)):
+                memory.store(episode(name, plan=plan), REST, now=NOW)
+            before = memory.weights()
+            recall = memory.recall("put the red cube in the bowl", SCENE, REST, "arm", "aaaa1111", k=2)
+            told = memory.store(episode("new", "failed", plan=done, recall=recall), REST, now=NOW)
+            assert {name for name, w in memory.weights().items() if w != before.get(name, w)} == moved
+            ranks = {hit.episode_id: hit.rank for hit in recall.exemplars}
+            assert {one.memory: one.rank for one in told.changes if one.rank} == {name: ranks[name] for name in moved}
+
+
+def test_a_contract_that_keeps_going_wrong_where_it_is_copied_loses_its_lead(tmp_path: Path) -> None:
+    """Its newest copy lies nearest and begins at w₀; what is known of it counts all the same."""
+    words = "put the red cube in the bowl"
+    with open_ledger(tmp_path) as ledger:
+        memory = open_memory(ledger, WIDE)
+        memory.store(episode("elsewhere", summary="neighbour_across tall", plan=contract("cup")), REST, now=NOW)
+        memory.store(episode("here", plan=contract("jar")), REST, now=NOW)
+        first = list[str]()
+        for turn in range(12):
+            recall = memory.recall(words, SCENE, REST, "arm", "aaaa1111", k=3)
+            first.append(recall.exemplars[0].contract["action_sequence"][0]["params"]["object"])
+            Delta = 0.1 if first[-1] == "jar" else 0.0
+            done = episode(f"copy {turn}", Delta=Delta, plan=contract(first[-1]), recall=recall)
+            memory.store(done, REST, now=NOW)
+        assert first[0] == "jar"
+        assert first[-6:] == ["cup"] * 6
 
 
 def test_at_most_the_nearest_are_touched(tmp_path: Path) -> None:

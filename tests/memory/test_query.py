@@ -55,10 +55,12 @@ def test_lambda_and_alpha_are_dials_of_the_query(tmp_path: Path) -> None:
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("words", summary="person: crossing, overhead"), REST, now=NOW)
-        memory.store(episode("scene", instruction="tidy up the table"), REST, now=NOW)
+        memory.store(episode("scene", instruction="tidy up the table", plan=contract("cup")), REST, now=NOW)
         for i in range(6):
             shown = memory.recall("tidy up the table", SCENE, REST, "arm", "aaaa1111", k=1)
-            memory.store(episode(f"f-{i}", "failed", recall=replace_warnings(shown)), REST, now=NOW)
+            memory.store(
+                episode(f"f-{i}", "failed", plan=contract("cup"), recall=replace_warnings(shown)), REST, now=NOW
+            )
         assert memory.weights()["scene"] < 0.1
         assert _ids(memory, alpha=Alpha(1.0, 0.0, 0.0, 0.0, 0.0))[0] == "words"
         assert _ids(memory, alpha=Alpha(0.0, 1.0, 0.0, 0.0, 0.0), lambda_s=1.0)[0] == "scene"

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval import Hit, Query, Scan
+from dualbrain.memory.retrieval import Hit, Query, Scan, worth
 
 from .samples import unit_rows
 
@@ -71,6 +71,27 @@ def test_the_score_is_the_papers() -> None:
     assert (first.row, first.similarity, first.weight) == (0, 1.0, 0.25)
     assert first.score == pytest.approx(0.8 * 1.0 + 0.2 * 0.25)
     assert second.score == pytest.approx(0.8 * 0.5 + 0.2 * 1.0)
+
+
+@given(
+    seed=st.integers(0, 10_000), n=st.integers(1, 40), kinds=st.integers(1, 8), bandwidth=st.sampled_from((0.05, 0.3))
+)  # fmt: skip
+def test_what_is_known_of_a_contract_adds_up_over_its_memories(seed: int, n: int, kinds: int, bandwidth: float) -> None:
+    """Brute force in Python floats; of a contract that is remembered once, its own weight."""
+    rng = np.random.default_rng(seed)
+    rows, weights = unit_rows(rng, n, DIM), rng.random(n)
+    contracts, counted = rng.integers(kinds, size=n).astype(np.int32), rng.random(n) < 0.7
+    compared = _filled(rows, weights).compare(Query.plain(unit_rows(rng, 1, DIM)[0]))
+    told = worth(compared, weights, contracts, counted, bandwidth)
+    for i in range(n):
+        mine = [j for j in range(n) if contracts[j] == contracts[i] and counted[j]]
+        far = [2.0 - 2.0 * float(compared.cosine[j]) for j in mine]
+        shares = [np.exp((min(far) - d) / (2.0 * bandwidth**2)) for d in far]
+        known = 0.5 + sum(share * (weights[j] - 0.5) for share, j in zip(shares, mine, strict=True))
+        expected = min(1.0, max(0.0, known)) if mine else weights[i]
+        assert told[i] == pytest.approx(expected, abs=1e-4)
+        if mine == [i]:
+            assert told[i] == pytest.approx(weights[i], abs=1e-12)
 
 
 def test_experience_outranks_likeness_inside_the_stated_gap() -> None:

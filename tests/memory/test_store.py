@@ -161,15 +161,16 @@ def test_repeated_success_outranks_repeated_failure_through_the_front_door(tmp_p
     with open_ledger(tmp_path) as ledger:
         memory = open_memory(ledger)
         memory.store(episode("good"), REST, now=NOW)
-        memory.store(episode("bad"), REST, now=NOW)
+        memory.store(episode("bad", plan=contract("cup")), REST, now=NOW)
         shown = {hit.episode_id: hit for hit in _recall(memory).exemplars}
         assert _recall(memory, k=1).exemplars[0].episode_id == "bad"
         for i in range(8):
-            memory.store(episode(f"f{i}", "failed", recall=Recall((shown["bad"],))), REST, now=NOW)
+            followed = Recall((shown["bad"], shown["good"]))
+            memory.store(episode(f"f{i}", "failed", plan=contract("cup"), recall=followed), REST, now=NOW)
             memory.store(episode(f"s{i}", "stopped", recall=Recall((shown["good"],))), REST, now=NOW)
         hits = {hit.episode_id: hit for hit in _recall(memory).exemplars}
         assert hits["good"].score > hits["bad"].score
-        assert hits["bad"].weight == 0.0
+        assert memory.weights()["bad"] == 0.0
 
 
 # --- replay ---------------------------------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ class Processes:
         try:
             report: Report = pipe.recv()
             held.heard = time.monotonic()
-        except EOFError:
+        except (EOFError, OSError):  # also in the midst of a report
             held.process.join()
             report = Report(held.unit, error=self._died(held))
             pipe.close()

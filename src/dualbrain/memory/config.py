@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from dualbrain.memory.embedding import EmbeddingConfig
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity import BANDWIDTH, Plasticity
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.retrieval import check_lambda
 from dualbrain.memory.trust import Trust
@@ -27,6 +27,11 @@ class MemoryConfig:
     plasticity: Plasticity | None = field(default_factory=Plasticity)
     embedding: EmbeddingConfig = field(default_factory=EmbeddingConfig)
     trust: Trust = field(default_factory=Trust)
+
+    @property
+    def bandwidth(self) -> float:
+        """ℓ, also where nothing is learnt."""
+        return self.plasticity.bandwidth if self.plasticity else BANDWIDTH
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for λ_s outside [0, 1]."""

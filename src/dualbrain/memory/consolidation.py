@@ -17,12 +17,12 @@ from dualbrain.memory.index import Index, vector_of
 from dualbrain.memory.learning import Lecture, Teacher
 from dualbrain.memory.ledger import Entry, LedgerReader
 from dualbrain.memory.picture import Picture
-from dualbrain.memory.plans import same_plan
+from dualbrain.memory.plans import departure, same_plan
 from dualbrain.memory.plasticity import W0
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.provenance import provenance_of
 from dualbrain.memory.state import Memo, State
-from dualbrain.memory.trace import LESSONS, followed, payload, read_followed, read_stored
+from dualbrain.memory.trace import LESSONS, payload, read_shown, read_stored, shown
 from dualbrain.records import Episode, OutcomeClass
 
 CANDIDATES = 20
@@ -62,9 +62,9 @@ class Consolidation:
         changes, around = list[Weighing](), 0
         if teacher and status == "active" and LESSONS[episode.outcome.kind] != "none":
             teacher.welcome(episode.id, W0)
-            shown = followed(episode.recall)
-            Delta = _executed(episode.outcome.kind, episode.outcome.Delta)
-            lecture = Lecture(episode.id, source, episode.outcome.r, Delta, shown, self._around(embedded, episode))
+            r, Delta = episode.outcome.r, _executed(episode.outcome.kind, episode.outcome.Delta)
+            followed = self._followed(episode.contract, shown(episode.recall))
+            lecture = Lecture(episode.id, source, r, Delta, followed, self._around(embedded, episode))
             changes, neighbours = teacher.teach(lecture)
             entries += _entries(changes, neighbours)
             around = len(neighbours.memories) if neighbours else 0
@@ -115,11 +115,23 @@ class Consolidation:
 
     def _lecture(self, memo: Memo) -> Lecture:
         data, row = self._ledger.event(memo.seq).payload, self._state.rows[memo.id]
-        shown = [name for name in read_followed(data) if name in self._state]
+        followed = self._followed(self._contract(memo), read_shown(data))
         embedded = Embedded(self._index.scan.rows[row], int(self._index.scan.masks[row]))
         around = self._around(embedded, memo)
         Delta = _executed(memo.kind, memo.Delta)
-        return Lecture(memo.id, memo.provenance.source, memo.r, Delta, shown, around)
+        return Lecture(memo.id, memo.provenance.source, memo.r, Delta, followed, around)
+
+    def _followed(self, contract: dict[str, Any] | None, prompt: Sequence[str]) -> list[tuple[int, str]]:
+        """Rank and id of the exemplars in `prompt` that `contract` departs from least; none if its skills are others.
+
+        What became of a contract says nothing of another one that stood beside the one it follows.
+        """
+        gaps = {
+            (rank, name): departure(self._contract(self._state[name]), contract)
+            for rank, name in enumerate(prompt, start=1) if name in self._state
+        }  # fmt: skip
+        least = min((gap for gap in gaps.values() if gap is not None), default=None)
+        return [place for place, gap in gaps.items() if gap is not None and gap == least]
 
     def _around(self, embedded: Embedded, one: Episode | Memo) -> list[tuple[str, float]]:
         """Id and squared distance 2 − 2 cos of the neighbours of `one`, itself excluded, nearest first.

@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval import Compared, Hit, Mask, Scan
+from dualbrain.memory.retrieval import Compared, Hit, Mask, Scan, Weights
 
 POOL = 8
 """How many times k candidates are considered."""
 
 
 def diverse(
-    scan: Scan, compared: Compared, eligible: Mask, k: int, lambda_s: float, diversity: float
-) -> tuple[Hit, ...]:
+    scan: Scan, compared: Compared, eligible: Mask, k: int, lambda_s: float, diversity: float,
+    weights: Weights | None = None,
+) -> tuple[Hit, ...]:  # fmt: skip
     """K hits chosen one by one by (1 − d)·R − d·max (1 + cos)/2 to those chosen before, d = `diversity` ∈ [0, 1].
 
     Chosen among the 8k best by R; d = 0 is plain retrieval. The first hit is always the best by R; ties go to the
@@ -22,7 +23,7 @@ def diverse(
     """
     if not 0.0 <= diversity <= 1.0:
         raise InvalidSetup("diversity", got=diversity, allowed="in [0, 1]")
-    pool = list(scan.top(compared, eligible, POOL * k, lambda_s))
+    pool = list(scan.top(compared, eligible, POOL * k, lambda_s, weights))
     likeness = _likeness(scan, compared, pool)
     chosen: list[int] = []
     while len(chosen) < min(k, len(pool)):

@@ -91,6 +91,11 @@ class Columns:
         self._masks.clear()
         self._columns["status"].set(row, status)
 
+    @property
+    def contracts(self) -> NDArray[np.int32]:
+        """A number for each row, shape (n,): equal where the contracts are. Not to be written to."""
+        return self._columns["contract"].codes[: self._count]
+
     def mask(self, wanted: Filter) -> Mask:
         """Which rows pass, shape (n,); remembered until a row is added or changes its status. Not to be written to."""
         if wanted not in self._masks:

@@ -15,7 +15,8 @@ from dualbrain.memory.events import EPISODE
 from dualbrain.memory.filters import Columns, Filter
 from dualbrain.memory.image import IMAGE_ENCODER
 from dualbrain.memory.ledger import Ledger, LedgerReader, Vector
-from dualbrain.memory.retrieval import Compared, Hit, Query, Scan
+from dualbrain.memory.plasticity import BANDWIDTH
+from dualbrain.memory.retrieval import Compared, Hit, Query, Scan, worth
 from dualbrain.memory.snapshot import Snapshot
 from dualbrain.memory.state import Memo, State
 from dualbrain.memory.trace import read_stored
@@ -26,11 +27,15 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """How hits are ranked: λ_s, how much likeness among hits costs (`diversity`), and how many are wanted."""
+    """How hits are ranked: λ_s, how much likeness among hits costs (`diversity`), and how many are wanted.
+
+    Memories of one contract within `bandwidth` ℓ of the query count together (see `retrieval.worth`).
+    """
 
     k: int
     lambda_s: float
     diversity: float = 0.0
+    bandwidth: float = BANDWIDTH
 
 
 class Index:
@@ -91,9 +96,11 @@ class Index:
     def hits(self, compared: Compared, where: Filter, ranking: Ranking) -> tuple[Hit, ...]:
         """The best memories that pass `where`."""
         eligible = self._columns.mask(where)
+        counted = self._columns.mask(Filter(where.robot, where.registry))
+        weights = worth(compared, self.scan.weights, self._columns.contracts, counted, ranking.bandwidth)
         if ranking.diversity == 0.0:
-            return self.scan.top(compared, eligible, ranking.k, ranking.lambda_s)
-        return diverse(self.scan, compared, eligible, ranking.k, ranking.lambda_s, ranking.diversity)
+            return self.scan.top(compared, eligible, ranking.k, ranking.lambda_s, weights)
+        return diverse(self.scan, compared, eligible, ranking.k, ranking.lambda_s, ranking.diversity, weights)
 
     def within(self, compared: Compared, where: Filter, least: float, most: int) -> list[tuple[int, float]]:
         """Rows that pass `where` with cosine at least `least`, at most `most`, the nearest (then the newest) first."""

@@ -1,8 +1,8 @@
 """What one outcome does to weights, in the order that is part of its meaning (paper 5.3).
 
-First the new memory, from w = 0.5; then the exemplars that stood in the prompt, by rank; then the Gaussian
-neighbourhood of the new one. Warnings that stood beside them are not taught: nobody followed them. Updates do not
-commute.
+First the new memory, from w = 0.5; then the exemplars in the prompt that the planner followed, by rank; then the
+Gaussian neighbourhood of the new one. What stood beside them is not taught, exemplar or warning: nobody followed it.
+Updates do not commute.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from dualbrain.memory.trust import Account, Trust
 
 @dataclass(frozen=True, slots=True)
 class Lecture:
-    """One outcome and whom it teaches: episode `cause` of `source`, label `r`, `Delta`, the exemplars `shown` by rank.
+    """One outcome and whom it teaches: episode `cause` of `source`, label `r`, `Delta`, the exemplars `followed`.
 
-    `neighbours` are id and squared distance ‖e_j − e_i‖² of those around it, nearest first.
+    These come with their rank, in the order of the prompt. `neighbours` are id and squared distance ‖e_j − e_i‖² of
+    those around it, nearest first.
     """
 
     cause: str
     source: str
     r: int
     Delta: float | None
-    shown: Sequence[str]
+    followed: Sequence[tuple[int, str]]
     neighbours: Sequence[tuple[str, float]]
 
 
@@ -54,7 +55,7 @@ class Teacher:
             lecture.source, Account(self._state.influence, self._day, lecture.source)
         )  # fmt: skip
         weighings = list[Weighing]()
-        for rank, name in enumerate((lecture.cause, *lecture.shown)):
+        for rank, name in ((0, lecture.cause), *lecture.followed):
             w = self._weight(name)
             step, share = self._trust.bounded(factors, w, account.spent(name)) if rank else (factors, 1.0)
             after = self._move(name, step, account if rank else None)

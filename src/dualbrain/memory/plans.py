@@ -34,6 +34,11 @@ def shares_a_parameter(one: dict[str, Any] | None, other: dict[str, Any] | None)
     return any(near(a, b) for a, b in _pairs(one, other) if a is not None)
 
 
+def departure(one: dict[str, Any] | None, other: dict[str, Any] | None) -> int | None:
+    """In how many parameters two plans of the same skills differ; None for plans of other skills."""
+    return sum(not near(a, b) for a, b in _pairs(one, other)) if same_skills(one, other) else None
+
+
 def near(one: Any, other: Any) -> bool:
     """Equal, or numbers within 5 % of the larger."""
     if isinstance(one, bool) or isinstance(other, bool):

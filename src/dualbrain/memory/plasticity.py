@@ -12,6 +12,8 @@ W0 = 0.5
 """Weight of a new memory before any outcome."""
 EPSILON = 0.003
 """Δ up to which a success speaks for a memory, unless it is set for a robot."""
+BANDWIDTH = 0.2
+"""ℓ of a neighbourhood unless it is set otherwise: half of a neighbour's word is left at cos = 0.97."""
 WIDEST = 0.3
 """The widest neighbourhood ℓ."""
 
@@ -60,7 +62,7 @@ class Plasticity:
     epsilon: float = EPSILON
     g: Penalty = field(default_factory=Penalty)
     kappa: float = 0.02
-    bandwidth: float = 0.2
+    bandwidth: float = BANDWIDTH
     reach: int = 100
 
     def __post_init__(self) -> None:

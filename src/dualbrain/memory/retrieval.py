@@ -1,4 +1,7 @@
-"""Feedback-weighted retrieval (paper 5.2): the exact top k of R = λ_s s + (1 − λ_s) w by a scan over all memories."""
+"""Feedback-weighted retrieval (paper 5.2): the exact top k of R = λ_s s + (1 − λ_s) w̄ by a scan over all memories.
+
+w̄ is what all memories of a contract tell of it near the query (`worth`); of a contract that is remembered once, its w.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,17 @@ from numpy.typing import NDArray
 
 from dualbrain.errors import InvalidSetup
 from dualbrain.memory.encoder import Rows
+from dualbrain.memory.plasticity import W0
 
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
+Weights = NDArray[np.float64]
+Codes = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """One retrieved row: its number, similarity s ∈ [0, 1], weight w ∈ [0, 1] and score R."""
+    """One retrieved row: its number, similarity s ∈ [0, 1], the weight w̄ ∈ [0, 1] of its contract and score R."""
 
     row: int
     similarity: float
@@ -116,9 +122,17 @@ class Scan:
         shares = query.shares[self.masks & query.mask].astype(np.float32)
         return Compared(query, np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0))
 
-    def top(self, compared: Compared, eligible: Mask, k: int, lambda_s: float) -> tuple[Hit, ...]:
+    @property
+    def weights(self) -> Weights:
+        """The weight of each row, shape (n,); not to be written to."""
+        return self._weights[: self._count]
+
+    def top(
+        self, compared: Compared, eligible: Mask, k: int, lambda_s: float, weights: Weights | None = None
+    ) -> tuple[Hit, ...]:
         """The k eligible rows with the largest R = λ_s (1 + cos)/2 + (1 − λ_s) w, best first; the newer wins a tie.
 
+        `weights` (n,) take the place of the rows' own.
         The scan is in float32; every row within its rounding error of the k-th is scored again in float64, row by row,
         so the answer equals that of a float64 sort, and equal rows tie exactly wherever they stand.
         """
@@ -130,13 +144,14 @@ class Scan:
             self._scratch = (np.empty(len(self._rows), np.float32), np.empty(len(self._rows), np.float32))
         rough, sorting = (part[:n] for part in self._scratch)
         np.multiply(compared.cosine, np.float32(lambda_s / 2.0), out=rough)
-        np.multiply(self._weights[:n], 1.0 - lambda_s, out=sorting, casting="same_kind")
+        weights = self.weights if weights is None else weights
+        np.multiply(weights, 1.0 - lambda_s, out=sorting, casting="same_kind")
         rough += sorting
         np.copyto(rough, -np.inf, where=~eligible)
         np.copyto(sorting, rough)
         sorting.partition(max(0, n - k))
         rows = np.flatnonzero(rough >= sorting[max(0, n - k)] - self._slack(compared.query))
-        return self._ranked(rows[eligible[rows]], compared.query, lambda_s)[:k]
+        return self._ranked(rows[eligible[rows]], compared.query, lambda_s, weights)[:k]
 
     def _slack(self, query: Query) -> float:
         """Bound of the rounding of a float32 score."""
@@ -144,10 +159,10 @@ class Scan:
         least = min(1.0, float(present.min())) if present.size else 1.0
         return (2.0 * query.row.size / least + 8.0) * 2.0**-24
 
-    def _ranked(self, rows: Numbers, query: Query, lambda_s: float) -> tuple[Hit, ...]:
+    def _ranked(self, rows: Numbers, query: Query, lambda_s: float, weights: Weights) -> tuple[Hit, ...]:
         cosine = self.cosines(rows, query)
         similarity = np.clip((1.0 + cosine) / 2.0, 0.0, 1.0)
-        weights = self._weights[rows]
+        weights = weights[rows]
         score = lambda_s * similarity + (1.0 - lambda_s) * weights
         order = np.lexsort((-rows, -score))
         return tuple(Hit(int(rows[i]), float(similarity[i]), float(weights[i]), float(score[i])) for i in order)
@@ -157,6 +172,25 @@ class Scan:
         product = (self._rows[rows].astype(np.float64) * query.row.astype(np.float64)).sum(axis=1)
         shares = query.shares[self._masks[rows] & query.mask]
         return np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0)
+
+
+def worth(compared: Compared, weights: Weights, contracts: Codes, counted: Mask, bandwidth: float) -> Weights:
+    """The weight w̄ of each row's contract near the query, shape (n,): what its memories tell adds up.
+
+    w̄ = min{1, max{0, w₀ + Σ_j κ_j (w_j − w₀)}} over the `counted` rows j of the same contract (equal numbers in
+    `contracts`, (n,)). The nearest of them has κ = 1, others exp(−(d_j² − d²)/2ℓ²) with d² = ‖e − e_q‖² = 2 − 2 cos, d
+    that of the nearest, and ℓ = `bandwidth`. So a lone memory has its own weight; where none counts, rows keep theirs.
+
+    A repeated contract is not a new one: alone, its newest memory would begin at w₀ however often it had gone wrong.
+    """
+    many = int(contracts.max(initial=-1)) + 1
+    cosine = np.where(counted, compared.cosine, np.float32(-np.inf))
+    nearest = np.full(many, -np.inf, np.float32)
+    np.maximum.at(nearest, contracts, cosine)
+    known = np.isfinite(nearest)[contracts]
+    beyond = np.subtract(cosine, nearest[contracts], out=np.full_like(cosine, -np.inf), where=known)
+    told = np.bincount(contracts, np.exp(beyond / np.float32(bandwidth**2)) * (weights - W0), many)
+    return np.where(known, np.clip(W0 + told[contracts], 0.0, 1.0), weights)
 
 
 def check_lambda(lambda_s: float) -> None:

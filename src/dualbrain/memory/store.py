@@ -101,7 +101,9 @@ class Memory:
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)
         narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
-        ranking = Ranking(k, lambda_s, self.config.diversity if diversity is None else diversity)
+        ranking = Ranking(
+            k, lambda_s, self.config.diversity if diversity is None else diversity, self.config.bandwidth
+        )  # fmt: skip
         few = dataclasses.replace(ranking, k=self.config.warnings)
         follow, avoid = (dataclasses.replace(narrowed, lesson=lesson) for lesson in ("follow", "avoid"))
         return Recall(
@@ -121,7 +123,7 @@ class Memory:
         """Write `episode` and the weight changes it causes, in one transaction, at `now` [s, 1970 UTC].
 
         `episode.recall` must hold what stood in the prompt. Order: the new memory from w = 0.5 by its own outcome, then
-        the exemplars in the prompt by rank (never the warnings), then its neighbourhood. A candidate teaches nothing
+        the exemplars that it followed by rank (never the warnings), then its neighbourhood. A candidate teaches nothing
         until something confirms it. `episode.judgement` is neither read nor written: the ledger is the same whatever
         simulator truth says.
         """

@@ -138,8 +138,8 @@ def read_memo(data: bytes) -> MemoHead:
     return msgspec.json.decode(data, type=MemoHead)
 
 
-def followed(recall: Recall) -> tuple[str, ...]:
-    """Ids of those that an outcome teaches besides the new memory: the exemplars, in rank order (paper 5.3).
+def shown(recall: Recall) -> tuple[str, ...]:
+    """Ids of the exemplars that stood in the prompt, in rank order: one of them may have been followed.
 
     A warning was shown so that it be not followed: a success says nothing for it, a failure nothing against it.
     """
@@ -155,6 +155,6 @@ class _Prompt(msgspec.Struct, frozen=True):
     retrieved: tuple[_Shown, ...]
 
 
-def read_followed(data: bytes) -> tuple[str, ...]:
-    """What `followed` said of an episode, from the payload of its event."""
+def read_shown(data: bytes) -> tuple[str, ...]:
+    """What `shown` said of an episode, from the payload of its event."""
     return tuple(one.memory for one in msgspec.json.decode(data, type=_Prompt).retrieved if one.kind == "exemplar")
