@@ -1,6 +1,7 @@
 """The runner: what is done is not done again, whatever was killed, and results do not depend on it."""
 
 import itertools
+from functools import partial
 
 import msgspec
 import pytest
@@ -171,20 +172,23 @@ def test_a_worker_that_dies_costs_its_unit_only(suite, tmp_path):
     assert [(unit.method, unit.done) for unit in left] == [("M", 1), ("M", 1)]
 
 
-def make_hanging():
+def make_hanging(folder):
     def hanging(unit):
         yield from itertools.islice(lines_of(unit), 1)
-        while unit.method == "M":
+        (folder / str(unit.cluster)).touch()
+        while True:
             pass
 
     return hanging
 
 
-def test_a_worker_that_hangs_is_ended_and_the_others_go_on(suite, tmp_path):
-    told = []
-    assert not runner(suite, tmp_path, told).advance("fly", Processes(make_hanging, 2, silent_s=3.0))
-    assert sum("exit code -9, after nothing was heard of it for 3 s" in progress.error for progress in told) == 2
-    assert {unit.method for unit in runner(suite, tmp_path).left("fly")} == {"M"}
+def test_workers_that_hang_are_ended(suite, tmp_path):
+    """The clock goes on by more than an hour with each that hangs."""
+    alone, told, hang = msgspec.structs.replace(suite, methods=("M",)), [], tmp_path / "hang"
+    hang.mkdir()
+    crew = Processes(partial(make_hanging, hang), 2, clock=lambda: 4000.0 * len(list(hang.iterdir())))
+    assert not runner(alone, tmp_path, told).advance("fly", crew)
+    assert sum("exit code -9, after nothing was heard of it for 3600 s" in progress.error for progress in told) == 2
 
 
 def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):

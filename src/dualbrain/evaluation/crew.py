@@ -26,6 +26,8 @@ Worker = tuple[Any, Any]
 """Its end of the pipe, and its process."""
 SILENT_S = 3600.0
 """A worker that told nothing for so long hangs [s]; the planner's answers to a whole unit come together."""
+LOOK_S = 1.0
+"""How often that is looked at, where nobody tells anything [s]."""
 
 
 @dataclass(slots=True)
@@ -73,9 +75,11 @@ class Alone:
 class Processes:
     """`jobs` processes, each handed a unit whenever it is free. `make` builds `Do` in the worker; it is pickled."""
 
-    def __init__(self, make: Callable[[], Do], jobs: int, *, silent_s: float = SILENT_S) -> None:
-        """Nothing is started before there is work."""
-        self._make, self._jobs, self._silent_s, self._context = make, jobs, silent_s, get_context("spawn")
+    def __init__(
+        self, make: Callable[[], Do], jobs: int, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:  # fmt: skip
+        """Nothing is started before there is work; `clock` [s] tells for how long a worker was silent."""
+        self._make, self._jobs, self._clock, self._context = make, jobs, clock, get_context("spawn")
 
     def carry_out(self, units: Iterable[Unit]) -> Iterator[Report]:
         """Reports of all workers, as they come."""
@@ -85,7 +89,7 @@ class Processes:
             for unit in (unit for _ in range(self._jobs) for unit in [next(left, None)] if unit):
                 self._hand(busy, self._hire(), unit)
             while busy:
-                for pipe in wait(list(busy), self._silent_s):
+                for pipe in wait(list(busy), LOOK_S):
                     yield from self._hear(busy, pipe, left)
                 self._end_silent(busy)
         finally:
@@ -98,7 +102,7 @@ class Processes:
         worker: Worker | None = (pipe, held.process)
         try:
             report: Report = pipe.recv()
-            held.heard = time.monotonic()
+            held.heard = self._clock()
         except (EOFError, OSError):  # also in the midst of a report
             held.process.join()
             report = Report(held.unit, error=self._died(held))
@@ -120,11 +124,11 @@ class Processes:
                 held.process.kill()
 
     def _died(self, held: Held) -> str:
-        why = f", after nothing was heard of it for {self._silent_s:.0f} s" if self._is_silent(held) else ""
+        why = f", after nothing was heard of it for {SILENT_S:.0f} s" if self._is_silent(held) else ""
         return f"the worker died with exit code {held.process.exitcode}{why}"
 
     def _is_silent(self, held: Held) -> bool:
-        return time.monotonic() - held.heard >= self._silent_s
+        return self._clock() - held.heard >= SILENT_S
 
     def _hire(self) -> Worker:
         ours, theirs = self._context.Pipe()
@@ -133,10 +137,9 @@ class Processes:
         theirs.close()
         return ours, process
 
-    @staticmethod
-    def _hand(busy: Busy, worker: Worker, unit: Unit) -> None:
+    def _hand(self, busy: Busy, worker: Worker, unit: Unit) -> None:
         pipe, process = worker
-        busy[pipe] = Held(process, unit, time.monotonic())
+        busy[pipe] = Held(process, unit, self._clock())
         pipe.send(unit)
 
 
