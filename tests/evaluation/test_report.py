@@ -1,5 +1,6 @@
 """The report of made-up results: it says what was found, what was not, and is one file that works offline."""
 
+import os
 import re
 from xml.etree import ElementTree
 
@@ -206,6 +207,11 @@ def test_a_run_under_way_can_be_read(tmp_path):
     assert found == runner.rows()
     assert [one.key for one in found] == [run.row_key(order) for order in range(4)]
     assert (config["origin"], told) == ({"code": "abc"}, suite)
+    write_table(found, config, tmp_path / FILE)
+    assert results(tmp_path)[0] == found
+    runner.journal("fly").append(list(lines_of(run))[4])  # taken up again, after a table was written
+    os.utime(tmp_path / FILE, ns=(0, 0))
+    assert len(results(tmp_path)[0]) == 5
 
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):

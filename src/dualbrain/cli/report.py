@@ -97,8 +97,8 @@ def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
     from dualbrain.evaluation.suite import Suite
     from dualbrain.evaluation.table_file import FILE, read_table
 
-    path, written = folder / FILE, folder / CONFIG
-    if written.is_file() and not path.is_file():
+    path, written, journal = folder / FILE, folder / CONFIG, folder / "fly.jsonl"
+    if written.is_file() and journal.is_file() and not _is_newer(path, journal):
         config = msgspec.json.decode(written.read_bytes())
         suite = msgspec.convert(config["suite"], Suite)
         rows = Runner(suite, folder, clock=time.monotonic, tell=lambda progress: None).rows()
@@ -109,6 +109,11 @@ def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
         raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
     rows, config = read_table(path)
     return rows, config, msgspec.convert(config["suite"], Suite)
+
+
+def _is_newer(table: Path, journal: Path) -> bool:
+    """Whether the table was written after the last line of the journal."""
+    return table.is_file() and table.stat().st_mtime_ns >= journal.stat().st_mtime_ns
 
 
 def decisions(folder: Path) -> list[float]:
