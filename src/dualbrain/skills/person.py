@@ -51,7 +51,7 @@ def room_left(scene: Scene, way: Callable[[float], Array], horizon: float, now: 
             start = np.asarray(person.pose.position) + velocity * (now - person.stamp)
             radius, half = _axis(person)
             off = spots - (start[:2] + times[:, None] * velocity[:2])
-            along = np.clip(off @ half / (half @ half + 1e-12), -1.0, 1.0)
+            along = np.clip(off @ half / (half @ half + 1e-30), -1.0, 1.0)
             apart = np.linalg.norm(off - along[:, None] * half, axis=1) - radius - person.error
             least = min(least, float(apart.min()))
     return least
@@ -80,7 +80,7 @@ def _apart(spot: Array, path: Array, half: Array) -> float:
 def _beside(spot: Array, middle: Array, half: Array) -> float:
     """Distance of `spot` from the segment from middle - half to middle + half."""
     off = spot - middle
-    along = min(1.0, max(-1.0, float(off @ half) / (float(half @ half) + 1e-12)))
+    along = min(1.0, max(-1.0, float(off @ half) / (float(half @ half) + 1e-30)))
     return float(np.hypot(*(off - along * half)))
 
 
