@@ -28,7 +28,7 @@ def test_it_is_the_closest_approach_less_the_persons_radius_and_error(position, 
     scene = with_person(position, velocity)
     (person,) = scene.objects
     away, drift = np.array(position), np.array(velocity) - np.array(pace)
-    at = np.clip(-(away @ drift) / (drift @ drift + 1e-12), 0.0, HORIZON - LOOK_EVERY)
+    at = np.clip(-(away @ drift) / (drift @ drift + 1e-30), 0.0, HORIZON - LOOK_EVERY)
     least = np.linalg.norm(away + at * drift) - person.shape.radius - person.error
     found = room_left(scene, lambda t: t * np.array(pace), HORIZON, 1.0)
     assert least - 1e-9 <= found <= least + LOOK_EVERY * np.linalg.norm(drift) + 1e-9
