@@ -15,8 +15,7 @@ from dualbrain.memory.events import EPISODE
 from dualbrain.memory.filters import Columns, Filter
 from dualbrain.memory.image import IMAGE_ENCODER
 from dualbrain.memory.ledger import Ledger, LedgerReader, Vector
-from dualbrain.memory.plasticity import BANDWIDTH
-from dualbrain.memory.retrieval import Compared, Hit, Query, Scan, worth
+from dualbrain.memory.retrieval import Compared, Hit, Query, Scan, Weights, worth
 from dualbrain.memory.snapshot import Snapshot
 from dualbrain.memory.state import Memo, State
 from dualbrain.memory.trace import read_stored
@@ -27,15 +26,11 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """How hits are ranked: λ_s, how much likeness among hits costs (`diversity`), and how many are wanted.
-
-    Memories of one contract within `bandwidth` ℓ of the query count together (see `retrieval.worth`).
-    """
+    """How hits are ranked: λ_s, how much likeness among hits costs (`diversity`), and how many are wanted."""
 
     k: int
     lambda_s: float
     diversity: float = 0.0
-    bandwidth: float = BANDWIDTH
 
 
 class Index:
@@ -93,11 +88,17 @@ class Index:
         query = Query(embedded.row * scale, embedded.mask, alpha.shares(), scale)
         return self.scan.compare(query)
 
-    def hits(self, compared: Compared, where: Filter, ranking: Ranking) -> tuple[Hit, ...]:
-        """The best memories that pass `where`."""
+    def weights(self, compared: Compared, robot: str, registry: str, bandwidth: float) -> Weights:
+        """The weight w̄ of each row near the query, shape (n,), from all memories of this robot and registry.
+
+        Memories of one contract within `bandwidth` ℓ of the query count together (see `retrieval.worth`).
+        """
+        counted = self._columns.mask(Filter(robot, registry))
+        return worth(compared, self.scan.weights, self._columns.contracts, counted, bandwidth)
+
+    def hits(self, compared: Compared, weights: Weights, where: Filter, ranking: Ranking) -> tuple[Hit, ...]:
+        """The best memories that pass `where`, by similarity and `weights` (n,)."""
         eligible = self._columns.mask(where)
-        counted = self._columns.mask(Filter(where.robot, where.registry))
-        weights = worth(compared, self.scan.weights, self._columns.contracts, counted, ranking.bandwidth)
         if ranking.diversity == 0.0:
             return self.scan.top(compared, eligible, ranking.k, ranking.lambda_s, weights)
         return diverse(self.scan, compared, eligible, ranking.k, ranking.lambda_s, ranking.diversity, weights)

@@ -101,14 +101,13 @@ class Memory:
         compared = self.index.compare(query, alpha or self.config.embedding.alpha)
         narrowed = dataclasses.replace(where or Filter(), robot=robot, registry=registry)
         lambda_s = self.config.lambda_s if lambda_s is None else lambda_s
-        ranking = Ranking(
-            k, lambda_s, self.config.diversity if diversity is None else diversity, self.config.bandwidth
-        )  # fmt: skip
+        ranking = Ranking(k, lambda_s, self.config.diversity if diversity is None else diversity)
         few = dataclasses.replace(ranking, k=self.config.warnings)
         follow, avoid = (dataclasses.replace(narrowed, lesson=lesson) for lesson in ("follow", "avoid"))
+        weights = self.index.weights(compared, robot, registry, self.config.bandwidth)
         return Recall(
-            self._exemplars(query, self.index.hits(compared, follow, ranking)),
-            self._exemplars(query, self.index.hits(compared, avoid, few)),
+            self._exemplars(query, self.index.hits(compared, weights, follow, ranking)),
+            self._exemplars(query, self.index.hits(compared, weights, avoid, few)),
         )
 
     def _exemplars(self, query: Embedded, hits: Sequence[Hit]) -> tuple[Exemplar, ...]:
