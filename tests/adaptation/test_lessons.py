@@ -104,6 +104,18 @@ def test_parameters_are_spread_over_their_bounds(taught):
             assert 0.25 < low < 0.75, spec.name
 
 
+def test_a_robot_that_drives_hears_of_its_places_in_either_order_and_alone():
+    """Until 2026-11-23 two places were always the shelf and then the charger, and "go to the shelf" became both."""
+    routes = Counter(
+        tuple(action.params["place"] for action in contract(one).action_sequence if action.skill == "drive_to")
+        for one in lessons(150, "teach", 5, {"base": 1.0}, exemplars=0.0)
+    )
+    there, back = routes["shelf", "charger"], routes["charger", "shelf"]
+    assert min(there, back) > 10
+    assert max(there, back) < 2 * min(there, back)
+    assert routes["shelf",] + routes["charger",] > there + back
+
+
 def test_an_exemplar_is_followed_as_often_as_declared(taught):
     followed = []
     for sample in taught:

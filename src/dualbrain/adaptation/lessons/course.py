@@ -21,10 +21,10 @@ from dualbrain.planner.short_prompt import short_template_hash
 FORM = "conversational prompt-completion, JSON lines; templates with random valid parameters, nothing was carried out"
 DIALS = AdaptConfig(
     objective=ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none"),
-    fit=FitDials(steps=400, batch=4, at_once=2, save_every=25, ask_at_most=0, patience=9, threads=1),
+    fit=FitDials(steps=600, batch=4, at_once=2, save_every=25, ask_at_most=0, patience=9, threads=2),
 )
 """Plain fine-tuning: there is nothing to weigh in lessons, and nothing of the model's manners to keep."""
-LESSONS, CHECKS = 1600, 20
+LESSONS, CHECKS = 2400, 20
 """One epoch of the dials; checked by their loss alone, for free answers take as long as twenty steps."""
 
 

@@ -35,7 +35,7 @@ def draw_errand(names: SceneNames, mobile: bool, book: Book, speech: Speech, rng
     name = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
     kind, label = book.kinds[name], speech.labels.get(name, POSSIBLE)
     sentence = str(rng.choice(np.array(speech.sentences[name], object)))
-    meant, group, words = _slots(names, kind, speech, rng)
+    meant, group, words = _slots(names, mobile, kind, speech, rng)
     if any(f"{{{slot}}}" in sentence and not word for slot, word in words.items()):
         return None
     if rng.random() < book.impossible.get(name, 0.0):
@@ -63,13 +63,16 @@ def polish(sentence: str, rng: np.random.Generator) -> str:
 
 
 def _slots(
-    names: SceneNames, kind: Kind, speech: Speech, rng: np.random.Generator
+    names: SceneNames, mobile: bool, kind: Kind, speech: Speech, rng: np.random.Generator
 ) -> tuple[dict[str, Value], list[str], dict[str, str]]:
-    """What each slot means, the things of a group, and words for each; "" where the scene has nothing for a slot."""
+    """What each slot means, the things of a group, and words for each; "" where the scene has nothing for a slot.
+
+    To an arm the first place is a container, the others are spots on the table; to a robot that drives they are alike.
+    """
     things, places = _shuffled(names.graspable, rng), _shuffled(names.receptive, rng)
     containers, spots = (_shuffled(some, rng) for some in (names.receptive[:1], names.receptive[1:]))
     target = next(iter({"container": containers, "place": spots, "any": places}[kind.target]), "")
-    elsewhere = next((one for one in (spots or places) if one != target), "")
+    elsewhere = next((one for one in (places if mobile or not spots else spots) if one != target), "")
     named = {"object": things[0] if things else "", "second": things[1] if len(things) > 1 else "",
              "target": target, "second_target": elsewhere}  # fmt: skip
     words = {slot: _called(name, names, speech, rng) if name else "" for slot, name in named.items()}
