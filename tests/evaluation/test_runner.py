@@ -222,7 +222,9 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
 def test_epsilon_is_the_median_of_the_pilots_successes():
     rows = [row(Delta=0.01), row(Delta=0.02), row(Delta=0.06), row(Delta=9.0, success=False)]
     assert pilot_epsilon(rows, ["panda"]) == {"panda": 0.02}
-    assert pilot_epsilon([row(Delta=0.0)], ["panda"]) == {"panda": DEAD_BAND}  # nothing is less than no intervention
+    quiet = [row(Delta=0.0), row(Delta=0.5 * DEAD_BAND), row(Delta=0.0), row(Delta=0.0)]
+    assert pilot_epsilon([*rows, *quiet], ["panda"]) == {"panda": 0.02}  # what the filter did not touch says nothing
+    assert pilot_epsilon(quiet, ["panda"]) == {"panda": DEAD_BAND}
     with pytest.raises(InvalidSetup, match="no success"):
         pilot_epsilon(rows, ["ur5e"])
 

@@ -87,7 +87,7 @@ def run(
         Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
     epsilon
         ε of memory: with more Δ than this even a success lowers the weights of what led to it. Set it for your robot,
-        to the median Δ of some successes.
+        to the median Δ of some successes that were corrected.
     map
         MAP:FRAME, a map among the documents and its frame at the robot's base: its places on the table get names; for a
         base those on the floor, and its regions bound where it drives.

@@ -127,9 +127,10 @@ def rows_of(lines: Iterable[dict[str, Any]]) -> list[Row]:
 
 
 def pilot_epsilon(rows: list[Row], robots: Iterable[str]) -> dict[str, float]:
-    """By robot, the median Δ of the pilot's successes (design 5); raises `InvalidSetup` where there is none.
+    """By robot, the median Δ of those of the pilot's successes that the filter corrected, Δ above the dead band.
 
-    It is not below the dead band, which is all that counts as no intervention.
+    Where it corrected none, the dead band; raises `InvalidSetup` where nothing succeeded. Untouched successes do not
+    count: were most of them untouched, any correction would be a bad one, wherever it cannot be avoided.
     """
     found: dict[str, float] = {}
     for robot in robots:
@@ -137,7 +138,7 @@ def pilot_epsilon(rows: list[Row], robots: Iterable[str]) -> dict[str, float]:
         if not sizes:
             fix = "Fly more pilot episodes, or state epsilon."
             raise InvalidSetup(f"pilot of {robot}", got="no success", allowed="at least one", fix=fix)
-        found[robot] = max(median(sizes), DEAD_BAND)
+        found[robot] = median([size for size in sizes if size > DEAD_BAND] or [DEAD_BAND])
     return found
 
 

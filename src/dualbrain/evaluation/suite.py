@@ -40,8 +40,9 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MemoryPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How methods with memory begin. `start`: random valid contracts, flown into the ledger that all start from.
 
-    `epsilon` is ε, or `"pilot"`: the median Δ of the successes among `pilot` episodes of B3 by the base planner, frozen
-    before any test. `utility`: every so many-th repetition the planner is asked again without each exemplar; 0: never.
+    `epsilon` is ε, or `"pilot"`: the median Δ of the successes that the filter corrected, among `pilot` episodes of B3
+    by the base planner, frozen before any test. `utility`: every so many-th repetition the planner is asked again
+    without each exemplar; 0: never.
     """
 
     start: int = 0
