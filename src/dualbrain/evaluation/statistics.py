@@ -93,14 +93,17 @@ def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float
     """The 95 % interval of the ratio of two shares on the same clusters, either of which may be 0.
 
     Clusters are drawn, and of what was drawn each share from its Jeffreys posterior: the draws differ by scene as much
-    as the data do, and a share of 0 still has the spread that so many episodes leave it.
+    as the data do, and a share of 0 still has the spread that so many episodes leave it. As with `jeffreys` the ends are
+    closed: without a hit in `a` it begins at 0, without one in `b` it never ends.
     """
     rng, shares = np.random.default_rng([seed, 1]), list[Array]()
     names = sorted(a.keys() & b.keys())
     for one in (a, b):
         hits, counts = _resampled([np.array(one[name], float) for name in names], seed)
         shares.append(rng.beta(hits + 0.5, counts - hits + 0.5))
-    return percentiles(shares[0] / shares[1], len(names)) if len(names) > 1 else (0.0, np.inf)
+    low, high = percentiles(shares[0] / shares[1], len(names)) if len(names) > 1 else (0.0, np.inf)
+    ours, theirs = (any(any(one[name]) for name in names) for one in (a, b))
+    return (low if ours else 0.0), (high if theirs else np.inf)
 
 
 @dataclass(frozen=True, slots=True)
