@@ -117,6 +117,12 @@ def test_methods_are_compared_on_the_same_clusters():
     assert found.dz == pytest.approx(np.mean(a - b) / np.std(a - b, ddof=1))
 
 
+def test_a_ratio_whose_denominator_is_often_nothing_has_no_upper_end():
+    found = compare(clusters([[1.0], [0.0], [0.0], [2.0]]), clusters([[0.0], [0.0], [0.0], [1.0]]), ratio)
+    assert (found.effect, found.high) == (3.0, np.inf)
+    assert 1.0 <= found.low <= 3.0
+
+
 def test_only_common_clusters_count():
     found = compare({"x": [2.0], "y": [4.0], "z": [100.0]}, {"x": [1.0], "y": [1.0]}, ratio)
     assert (found.effect, found.clusters) == (3.0, 2)
