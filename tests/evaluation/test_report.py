@@ -121,6 +121,14 @@ def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
     assert "idle" not in [one.key for one in chosen([row("B2", key="idle", failure="actuator", trace_t=[])], 9)]
 
 
+def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again():
+    flown = row("B1", key="flown", failure="actuator", severity=0.9)
+    shared = row("B2", key="shared", failure="actuator", severity=0.9, same_as="flown")
+    again = row("G", repetition=1, key="again", failure="actuator", severity=0.8)
+    elsewhere = row("B1", seed=7, key="elsewhere", failure="actuator", severity=0.1)
+    assert [one.key for one in chosen([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
+
+
 def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
     evil = row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
     shots = [Shot(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]

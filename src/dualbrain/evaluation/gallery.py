@@ -1,28 +1,38 @@
-"""Which episodes are shown: failures and unsafe successes, as many classes and methods as there is room for."""
+"""Which flights are shown: failures and unsafe successes, as many classes, scenes and methods as there is room for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from dualbrain.evaluation.failure import CLASSES
 from dualbrain.evaluation.row import Row
 
 
 def chosen(rows: Sequence[Row], count: int) -> list[Row]:
-    """Up to `count` episodes in which something moved and went wrong, the most severe first, classes in turn."""
-    left = [row for row in rows if (row.failure or row.violations) and row.trace_t]
-    left.sort(key=lambda row: -row.severity)
+    """Up to `count` flights in which something moved and went wrong: classes in turn, then scenes, then methods.
+
+    Among equals the most severe come first. What several methods share is one flight.
+    """
+    wrong = [row for row in rows if (row.failure or row.violations) and row.trace_t]
+    flights = {row.same_as or row.key: row for row in reversed(wrong)}
+    left = sorted(flights.values(), key=lambda row: -row.severity)
     found: list[Row] = []
     while left and len(found) < count:
-        seen = [(row.failure, row.method) for row in found]
-        row = min(left, key=lambda one: (_times(seen, 0, one.failure), _times(seen, 1, one.method), _place(one)))
+        row = min(left, key=partial(_seen_before, found))
         found.append(row)
         left.remove(row)
     return found
 
 
-def _times(seen: list[tuple[str, str]], part: int, value: str) -> int:
-    return sum(pair[part] == value for pair in seen)
+def _seen_before(found: Sequence[Row], row: Row) -> tuple[int, ...]:
+    """How often class, scene and method of `row` were found, and where its class stands."""
+    return (
+        sum(one.failure == row.failure for one in found),
+        sum((one.task, one.seed) == (row.task, row.seed) for one in found),
+        sum(one.method == row.method for one in found),
+        _place(row),
+    )
 
 
 def _place(row: Row) -> int:
