@@ -22,8 +22,12 @@ if TYPE_CHECKING:
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, SKY, MUTED, INK)
 DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
+MARKERS = "osD^vP<X>"
+DODGED = 0.6
+"""Width over which the methods stand beside each other, as a share of the distance between repetitions."""
 CURVES = ("success", "violation rate", "Δ of successes", "intervention frequency")
-LEAST_US = 1.0
+DECADES = 100.0
+"""Beyond this ratio of its ends a logarithmic axis names powers of ten only."""
 
 
 def look(index: int) -> dict[str, Any]:
@@ -52,25 +56,26 @@ def curves(rows: Sequence[Row]) -> Html:
         for place, name in zip(axes.flat, CURVES, strict=True):
             _title(place, name, "over repetitions")
             for index, method in enumerate(methods):
-                _curve(place, rows, method, name, index)
+                _curve(place, rows, method, name, index, DODGED * ((index + 0.5) / len(methods) - 0.5))
             place.set_ylim(0, None)
             place.set_xlabel("repetition", loc="right", labelpad=1)
             place.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
-        _legend(figure, axes, methods)
+        _legend(figure, methods, marked=True)
     return themed(out.getvalue(), "metrics over repetitions")
 
 
-def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int) -> None:
+def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, dodge: float) -> None:
+    """Means with their intervals, moved aside by `dodge` so that methods that do alike are all seen."""
     mine = [row for row in rows if row.method == method]
     points = [(k, _at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
     known = [(k, found) for k, found in points if found.n]
     if not known:
         return
-    x = np.array([k for k, _ in known], float) + 1.0
+    x = np.array([k for k, _ in known], float) + 1.0 + dodge
     means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
-    axes.plot(x, means, linewidth=1.5, marker="o", markersize=3.2, **look(index))
+    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=3.4, **look(index))
     fine = np.isfinite(low) & np.isfinite(high)
-    axes.fill_between(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.10, linewidth=0)
+    axes.vlines(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.45, linewidth=0.9)
 
 
 def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
@@ -98,7 +103,7 @@ def traces(rows: Sequence[Row]) -> Html:
         above.axhline(0, color=INK, linewidth=1.0)
         below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
         below.set_xlabel("time [s]", loc="right", labelpad=1)
-        _legend(figure, axes, [method for method in methods if method in here], methods)
+        _legend(figure, [method for method in methods if method in here], methods)
     return themed(out.getvalue(), f"h_min and δ over time, {pair}")
 
 
@@ -128,7 +133,7 @@ def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
 
 def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
     """Cumulative shares on a logarithmic axis."""
-    from matplotlib.ticker import NullFormatter  # noqa: PLC0415
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415
 
     _title(axes, title, unit)
     drawn = False
@@ -142,6 +147,9 @@ def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[floa
         axes.set_xticks([])
         return
     axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0, 1.02)
     if len(parts) > 1:
@@ -154,10 +162,14 @@ def _title(axes: Axes, title: str, unit: str) -> None:
     axes.grid(axis="y")
 
 
-def _legend(figure: Any, axes: Any, shown: Sequence[str], methods: Sequence[str] = ()) -> None:
+def _legend(figure: Any, shown: Sequence[str], methods: Sequence[str] = (), *, marked: bool = False) -> None:
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
     order = list(methods or shown)
-    lines = [Line2D([], [], linewidth=1.6, **look(order.index(name))) for name in shown]
+    numbers = [order.index(name) for name in shown]
+    marks = [MARKERS[one % len(MARKERS)] if marked else "" for one in numbers]
+    lines = [
+        Line2D([], [], linewidth=1.6, marker=mark, markersize=4, **look(one))
+        for one, mark in zip(numbers, marks, strict=True)
+    ]
     figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5)
-    del axes
