@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.fusion import normalised, reciprocal_ranks
+from dualbrain.knowledge.fusion import normalised
 from dualbrain.knowledge.library import Library
 from dualbrain.knowledge.shipped import add_shipped
 from dualbrain.memory.encoder import MiniLmEncoder
@@ -35,16 +35,6 @@ def test_normalised_fusion_is_bounded_and_each_part_alone_at_its_end(
     for a, b in product(words.items(), repeat=2):
         assert (only[a[0]] > only[b[0]]) == (a[1] / best > b[1] / best)
     assert all(normalised(words, meaning, 1.0)[item] == max(0.0, cosine) for item, cosine in meaning.items())
-
-
-@settings(deadline=None)
-@given(st.permutations(range(6)), st.permutations(range(6)))
-def test_reciprocal_ranks_do_not_reward_being_below_another_in_both(one: list[int], other: list[int]) -> None:
-    fused = reciprocal_ranks([one, other])
-    for a in range(6):
-        for b in range(6):
-            if one.index(a) < one.index(b) and other.index(a) < other.index(b):
-                assert fused[a] > fused[b]
 
 
 def test_meaning_is_an_exact_scan(shipped: Library) -> None:

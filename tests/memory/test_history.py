@@ -16,7 +16,7 @@ from dualbrain.memory.compact import compact, maps
 from dualbrain.memory.curation import forget, quarantine, release, roll_back
 from dualbrain.memory.derive import as_of, derive
 from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.lineage import in_effect
+from dualbrain.memory.lineage import spans
 from dualbrain.memory.plasticity import Plasticity
 from dualbrain.memory.store import Memory
 from dualbrain.memory.trace import LESSONS
@@ -54,7 +54,7 @@ def test_what_is_in_effect_equals_walking_from_parent_to_parent(head: int, data:
     while at:
         path.append(at)
         at = rollbacks.get(at, at - 1)
-    assert list(in_effect(rollbacks, head)) == path[::-1]
+    assert [seq for span in spans(rollbacks, head) for seq in span] == path[::-1]
 
 
 @settings(max_examples=8, deadline=None)

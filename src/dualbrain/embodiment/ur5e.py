@@ -78,7 +78,7 @@ MESH_POSES: dict[str, tuple[Vector, Quaternion]] = {
 """Where the collision meshes lie in their links, from the URDF."""
 
 UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
-INWARD, OUTWARD = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)
+INWARD = (0.0, -1.0, 0.0)
 
 HAND = {
     "mount": [(0.0425 * x, 0.0425 * y, z) for x, y in ((0.88, 0.37), (0.37, 0.99)) for z in (0.0, 0.075)],

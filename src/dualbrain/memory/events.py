@@ -12,7 +12,7 @@ from dualbrain.records import Use
 EPISODE, WEIGHT, NEIGHBOURS = "episode", "weight", "neighbours"
 CONFIRM, QUARANTINE, RELEASE, TOMBSTONE = "confirm", "quarantine", "release", "tombstone"
 ROLLBACK, FOLDED, COMPACTED, SNAPSHOT = "rollback", "folded", "compacted", "snapshot"
-AUDIT, REPLAYED, ADAPTER, EXPORTED, USED = "audit", "replayed", "adapter", "exported", "used"
+AUDIT, REPLAYED, ADAPTER, USED = "audit", "replayed", "adapter", "used"
 WEIGHS = (EPISODE, WEIGHT, NEIGHBOURS, FOLDED)
 """Kinds that make memories and move weights."""
 Status = Literal["active", "candidate", "quarantined", "forgotten"]

@@ -6,7 +6,7 @@ the root to s. So nothing is ever undone for good: rolling back to a moment befo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from dualbrain.errors import InvalidSetup
 
@@ -26,11 +26,6 @@ def spans(rollbacks: Mapping[int, int], head: int) -> tuple[range, ...]:
         found.append(range(start, end + 1))
         end = rollbacks[start] if marks else 0
     return tuple(reversed(found))
-
-
-def in_effect(rollbacks: Mapping[int, int], head: int) -> Iterable[int]:
-    """Every event number in effect at `head`, oldest first."""
-    return (seq for span in spans(rollbacks, head) for seq in span)
 
 
 def check_target(target: int, head: int) -> None:

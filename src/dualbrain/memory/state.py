@@ -111,10 +111,6 @@ class State(msgspec.Struct):
         """Weight by id, oldest first."""
         return {memo.id: memo.weight for memo in self.memos}
 
-    def having(self, *statuses: Status) -> frozenset[str]:
-        """Ids of the memories of these statuses."""
-        return frozenset(memo.id for memo in self.memos if memo.status in statuses)
-
     def apply(self, event: Event) -> tuple[int, ...]:
         """Add one event; returns the rows it touched.
 
