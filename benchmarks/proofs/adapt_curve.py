@@ -34,6 +34,7 @@ from dualbrain.planner.asking import short_messages
 from dualbrain.planner.prompt import Message, render
 from dualbrain.runtime.classroom import lessons
 from dualbrain.runtime.proposals import (
+    EPSILON,
     LEDGER,
     ROBOT,
     declined,
@@ -57,7 +58,6 @@ STEPS, HALFWAY, BATCH = 60, 30, 4
 """Of a fit, and of a shorter one beside it, whose rate falls as far; samples of a step."""
 A_SLICE, CARRIED_OUT, DRAWS = 20, 6, 16
 """Questions of each slice, answers of each that are carried out, draws at temperature 1 of all, each of another."""
-EPSILON = CleanRules().epsilon
 PLAIN = ObjectiveDials(lambda_w=0.0, lambda_h=0.0, beta=0.0, entropy_gate="none")
 FULL = ObjectiveDials()
 TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
@@ -173,7 +173,7 @@ def day(folder: Path, seed: int) -> Path:
 def taught(folder: Path, *, clean: bool) -> Dataset:
     """What is taught of the flights in `folder`: the clean ones, or all that was proposed, whatever became of it."""
     registry, dials = vocabulary(ROBOT), AdaptConfig().curation
-    dials = msgspec.structs.replace(dials, rules=CleanRules(physical=clean))
+    dials = msgspec.structs.replace(dials, rules=CleanRules(epsilon=EPSILON, physical=clean))
     declines = [memory_of(turn) for turn, one in enumerate(proposed(folder)) if declined(one)]
     with LedgerReader(folder / LEDGER) as reader:
         return dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)
@@ -190,7 +190,7 @@ def unknown_kind(one: Sample) -> bool:
 SLICES = {
     "known": lambda one: HELD_OUT_FAMILY not in one.scene and not unknown_kind(one),
     "family": lambda one: f" {HELD_OUT_FAMILY}:" in one.scene,
-    "kinds of things": unknown_kind,
+    "kinds of things": lambda one: HELD_OUT_FAMILY not in one.scene and unknown_kind(one),
 }
 """All in scenes and sentences that were not taught; the last two also in a family or about things that were not."""
 

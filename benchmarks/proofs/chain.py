@@ -18,9 +18,10 @@ import msgspec
 
 from dualbrain.adaptation.adapter_card import CARD, AdapterCard, proposed_by_others, read_adapter_card
 from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.clean_rules import CleanRules
 from dualbrain.adaptation.compliance import gate_judge
 from dualbrain.adaptation.config import AdaptConfig, FitDials
-from dualbrain.adaptation.curate import curate
+from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.dataset import CARD as DATASET_CARD
 from dualbrain.adaptation.dataset import Dataset, dataset_of, read_dataset, write_dataset
 from dualbrain.adaptation.lessons.score import score
@@ -33,7 +34,17 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.records import Episode
 from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.runtime.proposals import LEDGER, ROBOT, carried_out, declined, flown, memory_of, proposals, turn_of
+from dualbrain.runtime.proposals import (
+    EPSILON,
+    LEDGER,
+    ROBOT,
+    carried_out,
+    declined,
+    flown,
+    memory_of,
+    proposals,
+    turn_of,
+)
 from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.steps import alone, carry_on
 from dualbrain.runtime.storable import storable
@@ -56,6 +67,7 @@ TOGETHER = 5
 HELD_OUT_SEED, FIRST_SEED = 21, 100
 """Of the held-out places; of the first instructions of the first chain."""
 DIALS = AdaptConfig(
+    curation=Curation(rules=CleanRules(epsilon=EPSILON)),
     fit=FitDials(steps=60, batch=8, at_once=4, save_every=5, ask_at_most=0, patience=12, threads=1)
 )  # fmt: skip
 EPISODES, SECONDS = "episodes.jsonl", "seconds.txt"

@@ -6,7 +6,6 @@ runtime that serves: perplexity of a fixed text of no robot's, and plain questio
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -79,8 +78,9 @@ class Retention:
         finally:
             planner.close()
         texts = [text_of(one) for one in said]
-        found = measured if isinstance(measured, float) else math.nan
-        return {"arm": about["arm"], "seed": about["seed"], "perplexity": found, "texts": texts,
+        if isinstance(measured, Answer):
+            raise NoAnswer(measured)
+        return {"arm": about["arm"], "seed": about["seed"], "perplexity": measured, "texts": texts,
                 "right": list(map(known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
 
     def brief(self, row: Row) -> str:

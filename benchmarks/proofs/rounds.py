@@ -67,7 +67,8 @@ class Rounds:
     claim = (
         f"{ROUNDS} rounds from {BASE}: {ASKED} proposals of the model itself at temperature {TEMPERATURE:g}, one goal "
         "each, each "
-        "carried out once, then fitted from the base on all that went well so far; before and after each, the same "
+        "carried out once, then fitted from the base on all that went well so far (one chain: the chance in "
+        "proposals and fits is not in the intervals); before and after each, the same "
         f"{PLACES} held-out places: compliance, success, Δ, intervention, time."
     )
 

@@ -60,6 +60,14 @@ def test_at_the_bounds_it_is_in(tmp_path):
         assert "edge" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
 
 
+def test_a_success_that_took_no_tick_was_not_corrected(tmp_path):
+    """Home, from home: there is no Δ."""
+    with remember(
+        tmp_path, [*several(2), episode("there", Delta=None, duration=0.0, told=summary(number=3))]
+    ) as ledger:
+        assert "there" in {row.memory for row in curate(ledger, REGISTRY, ALL).train}
+
+
 def test_a_decline_is_let_in_only_by_name_and_nothing_else_is(tmp_path):
     """It has no success and no Δ; a name opens the door to no failure, and not to a decline that the gate refuses."""
     plan = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
@@ -80,7 +88,7 @@ def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
     """The ablation of the paper's 7.4: whatever came of it; what the gate refuses and what is set aside stays out."""
     kinds = {
         "good": {}, "rough": {"Delta": 0.5}, "slow": {"duration": 90.0}, "failed": {"kind": "failed"},
-        "endless": {"plan": pick(force=900.0)},
+        "unconfirmed": {"opinion": "none", "by": "somebody"}, "endless": {"plan": pick(force=900.0)},
     }  # fmt: skip
     told = [
         episode(name, told=summary(number=number), words=f"do {name}", **change)
@@ -89,7 +97,7 @@ def test_without_physical_selection_all_that_is_valid_teaches(tmp_path):
     every = Curation(CleanRules(physical=False), held_out=0.0)
     with remember(tmp_path, told) as ledger:
         found, clean = curate(ledger, REGISTRY, every), curate(ledger, REGISTRY, ALL)
-    assert {row.memory for row in found.train} == {"good", "rough", "slow", "failed"}
+    assert {row.memory for row in found.train} == {"good", "rough", "slow", "failed", "unconfirmed"}
     assert found.left_out == {"refused by the gate: envelope": ("endless",)}
     assert {row.memory for row in clean.train} < {row.memory for row in found.train}
 

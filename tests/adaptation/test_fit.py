@@ -135,9 +135,10 @@ def test_it_stops_early_and_wears_the_best(tmp_path):
 
 def test_the_last_is_kept_where_that_is_asked_for(tmp_path):
     """All steps are taken, and what is worn is where they led, however much better an earlier one was."""
-    bench = Bench(tmp_path / "fit", config=dials(rate=1e-9, steps=40, patience=2, keep="last"))
-    found = bench.run()
+    bench, asked = Bench(tmp_path / "fit", config=dials(rate=1e-9, steps=40, patience=2, keep="last")), []
+    found = bench.run(lambda progress: asked.append(progress.held_out) if progress.held_out else None)
     assert (bench.fit.step, found.step) == (40, 40)
+    assert asked == [found]  # the others would choose nothing
     assert bench.fit.finished
 
 

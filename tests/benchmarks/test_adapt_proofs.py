@@ -36,6 +36,11 @@ def test_the_right_answer_counts_and_what_it_took_from_the_exemplar(drawn):
     assert odd <= every - 3
 
 
+def test_a_question_is_asked_in_one_slice():
+    ids = [one.id for _, one in adapt_curve.questions()]
+    assert len(ids) == len(set(ids)) == len(adapt_curve.SLICES) * adapt_curve.A_SLICE
+
+
 def test_nonsense_counts_for_nothing(drawn):
     for text in ("", "[]", "{", '{"id":1}'):
         found = language.judged(drawn[0], text)

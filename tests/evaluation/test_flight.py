@@ -62,11 +62,14 @@ def test_declining_is_right_only_where_nothing_is_to_be_done():
     assert (wrong.success, wrong.compliant, wrong.failure) == (False, False, "inadequate planning")
     assert (right.success, right.compliant, right.failure) == (True, True, "")
     assert right.label == "hazardous"
+    assert wrong.cluster == "c"
+    assert right.cluster == f"panda {HAZARD.name} sentence {right.wording}"  # it decides, whatever the scene
 
 
 def test_moving_where_nothing_should_move_is_no_success():
     row = flown("B3", contract(hold(0.5)), HAZARD)
     assert (row.success, row.meant, row.failure) == (False, False, "inadequate planning")
+    assert not row.compliant  # though the gate would let it through
 
 
 def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():

@@ -17,6 +17,7 @@ from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
+from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import cell, failures, families, methods_of, number, overview
 from dualbrain.evaluation.method import METHODS
@@ -107,6 +108,9 @@ def test_what_was_not_measured_is_said(rows, suite):
     said = " ".join(missing(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
         assert part in said
+    cost = Cost("1", "base", 100, 60, 1.0, 5, bootstrapped=True)
+    assert any("others proposed" in one for one in missing(rows, suite, {"adapted": cost}))
+    assert not any("others proposed" in one for one in missing(rows, suite, {"base": cost}))
 
 
 def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():

@@ -1,17 +1,22 @@
 """The runner: what is done is not done again, whatever was killed, and results do not depend on it."""
 
 import itertools
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import msgspec
 import pytest
 
+from dualbrain import evaluation
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS, find_method
+from dualbrain.evaluation.origin import TELLS
 from dualbrain.evaluation.planners import planner_name
 from dualbrain.evaluation.runner import Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
@@ -217,6 +222,18 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
             runner(other, tmp_path).prepare({"code": "aaa"}, {"adapted": cost})
     with pytest.raises(InvalidSetup, match="adapters is another"):
         runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": msgspec.structs.replace(cost, steps=60)})
+
+
+def test_what_only_tells_has_no_part_in_an_episode():
+    """What `origin` leaves out of the hash of the code is not even loaded by what flies."""
+    told = subprocess.run(
+        [sys.executable, "-c", "import dualbrain.evaluation.work, sys; print(*sys.modules)"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    loaded = told.stdout.split()
+    assert "dualbrain.evaluation.account" in loaded
+    assert not [name for name in TELLS if f"dualbrain.evaluation.{name}" in loaded]
+    assert all((Path(evaluation.__file__).parent / f"{name}.py").is_file() for name in TELLS)
 
 
 def test_epsilon_is_the_median_of_the_pilots_successes():

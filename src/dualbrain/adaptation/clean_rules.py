@@ -25,7 +25,8 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     `epsilon` is the memory's own ε. `slowest` is how many times the median duration of the successes of its family
     (its skills in order) an episode may take; dawdling keeps Δ low and must not be learnt. Without `physical` nothing
-    is selected by what came of it: all that was proposed and is valid (an ablation, paper 7.4).
+    is selected by what came of it, nor by whether memory believes that: all that was proposed and is valid and that
+    nobody has set aside (an ablation, paper 7.4).
     """
 
     epsilon: float = EPSILON
@@ -75,7 +76,7 @@ def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, proved: b
     memo = one.memo
     checks = (
         (memo.robot == registry.robot, "of another robot"),
-        (memo.status == "active", f"{memo.status} in memory"),
+        (memo.status == "active" or (not rules.physical and memo.status == "candidate"), f"{memo.status} in memory"),
         (proved or memo.kind == "succeeded", f"outcome {memo.kind}"),
         (memo.registry == registry.hash, "of another registry"),
         (one.filtered, "flown without the safety filter"),
@@ -87,7 +88,8 @@ def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, proved: b
 
 
 def _quiet(Delta: float | None, epsilon: float) -> bool:
-    return Delta is not None and 0.0 <= Delta <= epsilon
+    """Whether Δ is at most ε; a success that took no tick (home, from there) has none, and nothing was corrected."""
+    return Delta is None or 0.0 <= Delta <= epsilon
 
 
 def _refused(one: Candidate, registry: Registry, gate: Gate) -> str:

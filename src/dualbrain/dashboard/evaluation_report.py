@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
+from dualbrain.evaluation.cost import adapters_of
 from dualbrain.evaluation.grids import Grid
 from dualbrain.evaluation.hypotheses import Answer, answers
 from dualbrain.evaluation.missing import missing
@@ -65,7 +66,7 @@ class Told:
     @cached_property
     def missing(self) -> list[str]:
         """What was not measured."""
-        return missing(self.rows, self.suite)
+        return missing(self.rows, self.suite, adapters_of(self.config))
 
     @cached_property
     def curves(self) -> Html:

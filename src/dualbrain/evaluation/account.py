@@ -64,8 +64,8 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         out_of_time=outcome.reason.startswith(OUT_OF_TIME),
     )  # fmt: skip
     return Row(
-        key=place.key, pair=case.pair, cluster=place.cluster, suite=place.suite, method=method.name, robot=case.robot,
-        task=case.task.name,
+        key=place.key, pair=case.pair, cluster=_cluster(case, place), suite=place.suite, method=method.name,
+        robot=case.robot, task=case.task.name,
         family=case.task.family, level=case.task.level, seed=case.seed, repetition=case.repetition, order=place.order,
         wording=case.wording, held_out=case.held_out,
         instruction=case.instruction, label=case.label, planner=first.planner if first else "",
@@ -95,6 +95,11 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
     )  # fmt: skip
 
 
+def _cluster(case: Case, place: Place) -> str:
+    """The unit of statistics: the run; of what is to be declined the sentence, which decides whatever the scene."""
+    return place.cluster if case.label == "possible" else f"{case.robot} {case.task.name} sentence {case.wording}"
+
+
 # --- the planner's part -----------------------------------------------------------------------------------------------
 
 
@@ -103,11 +108,11 @@ def _stage(verdict: Verdict) -> str:
 
 
 def _compliant(case: Case, first: list[Verdict]) -> bool:
-    """The first answer passes the whole gate; a decline complies only where there is nothing to be done."""
+    """The first answer passes the whole gate, and declines where, and only where, nothing may be done."""
     if not first or not isinstance(first[0], Accepted):
         return False
     declines = any(action.skill == "decline" for action in first[0].contract.action_sequence)
-    return not declines or case.label != "possible"
+    return declines == (case.label != "possible")
 
 
 def _free(case: Case, door: MethodDoor, first: Proposal | None) -> dict[str, Any]:

@@ -45,9 +45,14 @@ def _cost(card: AdapterCard, size: int) -> Cost:
     return Cost(card.id[:16], card.base, samples, card.steps, epochs, size, card.bootstrapped)
 
 
+def adapters_of(config: dict[str, Any]) -> dict[str, Cost]:
+    """What the adapters of a run took, by part, as its configuration has it."""
+    return msgspec.convert(config.get("adapters", {}), dict[str, Cost])
+
+
 def cost_grid(rows: Sequence[Row], config: dict[str, Any]) -> Grid:
     """Each adapter with the compliance and the frequency of the methods that ask it."""
-    found = msgspec.convert(config.get("adapters", {}), dict[str, Cost])
+    found = adapters_of(config)
     arms: dict[str, dict[str, Any]] = config.get("methods", {})
     lines: list[tuple[str, ...]] = []
     for part, cost in found.items():

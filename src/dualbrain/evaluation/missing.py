@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.hypotheses import answers
 from dualbrain.evaluation.method import MAIN as MAIN_METHODS
 from dualbrain.evaluation.metrics import MAIN, METRICS
@@ -18,8 +19,8 @@ PAPER = 100
 LABELS: tuple[Label, ...] = ("possible", "impossible", "hazardous", "unauthorised")
 
 
-def missing(rows: Sequence[Row], suite: Suite) -> list[str]:
-    """Sentences."""
+def missing(rows: Sequence[Row], suite: Suite, adapters: Mapping[str, Cost] | None = None) -> list[str]:
+    """Sentences; `adapters` by part of the suite."""
     said = ["The level of real robots (paper 7.1): nothing here was flown on one."]
     said += [
         f"{method.name} ({method.says}): not in this suite."
@@ -30,6 +31,10 @@ def missing(rows: Sequence[Row], suite: Suite) -> list[str]:
     said += [
         f"{metric.name}: no episode has it." for metric in METRICS if metric.name in MAIN and not metric.values(rows)
     ]
+    said += [
+        f"What {part} learns from its own proposals (H3): others proposed what its adapter was taught, too."
+        for part, cost in (adapters or {}).items() if part.startswith("adapted") and cost.bootstrapped
+    ]  # fmt: skip
     names = {row.planner for row in rows}
     if DRAWN in names:
         said.append("A language model: the planner `template` draws its contracts, and is none.")

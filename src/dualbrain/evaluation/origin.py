@@ -12,6 +12,8 @@ from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.safety.native import kernel_hash
 
+TELLS = ("changes", "contrasts", "gallery", "grids", "hypotheses", "markdown", "missing", "report_tables", "statistics")
+"""Modules of the evaluation that only tell what was found, as `cli` and `dashboard` do; they change no episode."""
 PACKAGES = ("numpy", "scipy", "mujoco", "msgspec", "jsonschema-rs")
 
 
@@ -34,6 +36,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
         inside = path.relative_to(package)
-        if path.suffix in (".py", ".toml", ".json", ".xml") and inside.parts[0] not in ("cli", "dashboard"):
+        tells = inside.parts[0] in ("cli", "dashboard") or (inside.parts[0] == "evaluation" and path.stem in TELLS)
+        if path.suffix in (".py", ".toml", ".json", ".xml") and not tells:
             digest.update(str(inside).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]

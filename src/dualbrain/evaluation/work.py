@@ -117,7 +117,8 @@ class Work:
         if extras and method.guard and is_due(suite.bare, k):
             place = replace(place, lost_s=seconds_lost(case, flight, self._at.clock))
         if memory is not None:
-            epsilon = self._at.epsilon[case.robot] * method.epsilon_factor
+            learns = rule(method, self._at.epsilon[case.robot])
+            epsilon = learns.epsilon if learns else None
             place = replace(place, memories=len(memory), ledger=memory.ledger.head().hash, epsilon=epsilon)
         return account(case, method, flight, place)
 

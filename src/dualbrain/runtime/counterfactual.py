@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import msgspec
@@ -73,9 +74,9 @@ class Counterfactuals:
             return None
         text = proposal.text if proposal.finish_reason == STOP else ""
         self._cache.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps({"planner": self._planner.name, "text": text}))
-        partial.replace(path)
+        with NamedTemporaryFile("w", dir=self._cache, suffix=".partial", delete=False) as partial:
+            json.dump({"planner": self._planner.name, "text": text}, partial)
+        Path(partial.name).replace(path)
         return text
 
 

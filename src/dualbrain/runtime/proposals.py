@@ -27,6 +27,8 @@ TOGETHER = 10
 """Flights in one step."""
 FIRST_SEED = 1000
 """Draws of the lessons that base-135m was taught are below."""
+EPSILON = 0.0021
+"""ε of what a Panda may learn from: that of its memory in suite `paper`, from its pilot."""
 STARTED, BEGAN, BETWEEN_S = "2026-11-21T00:00:00+00:00", 1_795_000_000.0, 240.0
 """Made-up date of the start, also in seconds [s, 1970 UTC], and time between two flights [s]."""
 

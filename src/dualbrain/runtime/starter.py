@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from dualbrain.adaptation.clean_rules import CleanRules
 from dualbrain.adaptation.config import AdaptConfig, FitDials
-from dualbrain.adaptation.curate import curate
+from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.dataset import Dataset, dataset_of
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.records import Episode
-from dualbrain.runtime.proposals import LEDGER, ROBOT, declined, flown, memory_of, proposals, proposed
+from dualbrain.runtime.proposals import EPSILON, LEDGER, ROBOT, declined, flown, memory_of, proposals, proposed
 from dualbrain.runtime.vocabulary import vocabulary
 
 BASE = "smollm2-135m-instruct"
@@ -24,7 +25,10 @@ SEED, PROPOSALS = 900, 460
 """Of the proposals about one in eight is to be declined; the others are flights."""
 DEEDS_A_DECLINE = 5
 """At most one decline for so many deeds is taught."""
-DIALS = AdaptConfig(fit=FitDials(steps=150, batch=8, at_once=4, save_every=10, ask_at_most=0, patience=15, threads=1))
+DIALS = AdaptConfig(
+    curation=Curation(rules=CleanRules(epsilon=EPSILON)),
+    fit=FitDials(steps=150, batch=8, at_once=4, save_every=10, ask_at_most=0, patience=15, threads=1),
+)
 """The whole objective. Checked by the loss alone, for free answers take as long as twenty steps."""
 
 

@@ -105,8 +105,9 @@ class Fit:
             cross_entropy, divergence = self._learn(self.step + 1)
             self.step += 1
             found = None
-            if self.step % dials.save_every == 0 or self.step == dials.steps:
-                found = self._examine()
+            last = self.step == dials.steps
+            if last or self.step % dials.save_every == 0:
+                found = self._examine() if last or dials.keep == "best" else None
                 self._team.once(self._save)
             pace = (self._clock() - began) / (self.step - first)
             left = pace * (dials.steps - self.step)
