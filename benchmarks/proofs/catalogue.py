@@ -14,6 +14,7 @@ from proofs.kernel import Kernel
 from proofs.kills import Kills
 from proofs.language import Language
 from proofs.learning import Learning
+from proofs.nights import Nights
 from proofs.outsider import Outsider
 from proofs.picks import Picks
 from proofs.plant_adversary import PlantAdversary
@@ -32,7 +33,7 @@ PROOFS: dict[str, Proof] = {
     for proof in (
         Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
         PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
-        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(), Rounds(),
+        Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(), Rounds(), Nights(),
         Outsider(),
     )
 }  # fmt: skip

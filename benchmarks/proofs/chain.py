@@ -20,7 +20,7 @@ from dualbrain.adaptation.adapter_card import CARD, AdapterCard, proposed_by_oth
 from dualbrain.adaptation.bases import find_base
 from dualbrain.adaptation.clean_rules import CleanRules
 from dualbrain.adaptation.compliance import gate_judge
-from dualbrain.adaptation.config import AdaptConfig, FitDials
+from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
 from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.dataset import CARD as DATASET_CARD
 from dualbrain.adaptation.dataset import Dataset, dataset_of, read_dataset, write_dataset
@@ -68,8 +68,15 @@ HELD_OUT_SEED, FIRST_SEED = 21, 100
 """Of the held-out places; of the first instructions of the first chain."""
 DIALS = AdaptConfig(
     curation=Curation(rules=CleanRules(epsilon=EPSILON)),
-    fit=FitDials(steps=60, batch=8, at_once=4, save_every=5, ask_at_most=0, patience=12, threads=1)
-)  # fmt: skip
+    fit=FitDials(steps=60, batch=4, at_once=4, save_every=20, ask_at_most=0, threads=1, keep="last"),
+)
+"""As `adapt_curve` fits. All steps are taken, so that what leaves a part out is fitted for as long."""
+WITHOUT: dict[str, tuple[bool, ObjectiveDials]] = {
+    "adapted_no_entropy": (True, msgspec.structs.replace(DIALS.objective, lambda_h=0.0, entropy_gate="none")),
+    "adapted_no_kl": (True, msgspec.structs.replace(DIALS.objective, beta=0.0)),
+    "adapted_all": (False, DIALS.objective),
+}
+"""By part of suite `ablations`: whether only clean episodes are taught, and the objective."""
 EPISODES, SECONDS = "episodes.jsonl", "seconds.txt"
 
 
@@ -87,12 +94,20 @@ class Chain:
 
     def adapter(self, number: int) -> Path:
         """What the rounds before `number` taught, always fitted from the base; the folder with its card."""
-        folder = self.folder / f"fit {number}"
+        return self._fitted(number, self.folder / f"fit {number}", DIALS.objective, clean=True)
+
+    def without(self, number: int, part: str) -> Path:
+        """The same, of the same flights, with a part of adaptation left out."""
+        clean, objective = WITHOUT[part]
+        return self._fitted(number, self.folder / f"fit {number}, {part}", objective, clean=clean)
+
+    def _fitted(self, number: int, folder: Path, objective: ObjectiveDials, *, clean: bool) -> Path:
         with alone(folder):
             if not (folder / "adapter" / CARD).is_file():
                 if not (folder / "dataset" / DATASET_CARD).is_file():
-                    write_dataset(chosen(self.lived(number) / LEDGER, self.impossible(number)), folder / "dataset")
-                fit(read_dataset(folder / "dataset"), self.seed, folder)
+                    data = chosen(self.lived(number) / LEDGER, self.impossible(number), clean=clean)
+                    write_dataset(data, folder / "dataset")
+                fit(read_dataset(folder / "dataset"), self.seed, folder, objective)
         return folder / "adapter"
 
     def lived(self, number: int) -> Path:
@@ -181,20 +196,25 @@ def said_by(question: Sample, text: str, name: str) -> Sample:
 # --- teaching ---------------------------------------------------------------------------------------------------------
 
 
-def chosen(ledger: Path, declines: Sequence[str]) -> Dataset:
-    """D_clean of the ledger, in which only the model that is adapted has proposed anything, with right `declines`."""
-    registry, dials = vocabulary(ROBOT), DIALS.curation
+def chosen(ledger: Path, declines: Sequence[str], *, clean: bool = True) -> Dataset:
+    """D_clean of the ledger, in which only the model that is adapted has proposed anything, with right `declines`.
+
+    If not `clean`, all that was proposed and is valid, whatever became of it.
+    """
+    rules = msgspec.structs.replace(DIALS.curation.rules, physical=clean)
+    registry, dials = vocabulary(ROBOT), msgspec.structs.replace(DIALS.curation, rules=rules)
     with LedgerReader(ledger) as reader:
         data = dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)
     assert not proposed_by_others(data.card.sources, BASE), data.card.sources
     return data
 
 
-def fit(data: Dataset, seed: int, folder: Path) -> AdapterCard:
+def fit(data: Dataset, seed: int, folder: Path, objective: ObjectiveDials) -> AdapterCard:
     """Fit an adapter of the base in `folder`, or go on with the fit there."""
     from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
 
-    config = msgspec.structs.replace(DIALS, fit=msgspec.structs.replace(DIALS.fit, seed=seed))
+    fits = msgspec.structs.replace(DIALS.fit, seed=seed)
+    config = msgspec.structs.replace(DIALS, objective=objective, fit=fits)
     with (folder / SECONDS).open("a", buffering=1) as told:
         return adapt(
             data, config, find_base(BASE, folders.cache()), gate_judge(vocabulary(ROBOT)), folder,

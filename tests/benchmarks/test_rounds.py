@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 from proofs import chain as steps
-from proofs import rounds
+from proofs import nights, rounds
 from proofs.plot_rounds import plot_rounds
+from proofs.proof import Options
 
 from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card, write_card
 from dualbrain.adaptation.adapter_card import proposed_by_others as by_others
@@ -154,6 +155,25 @@ def test_only_the_model_proposes_and_every_fit_starts_from_the_base(stage, tmp_p
         assert {instruction_of(one) for one in data.train} <= {
             instruction_of(one) for earlier in range(number) for one in steps.instructions(0, earlier)
         }
+
+
+def test_what_leaves_a_part_out_is_fitted_on_the_same_flights(stage, tmp_path, monkeypatch):
+    """Only the switch differs: data of the last round, steps, seed; without physical selection there is more of it."""
+    found = []
+    registry = SimpleNamespace(add=lambda folder, *, now: found.append(read_adapter_card(folder).id))
+    monkeypatch.setattr(nights, "registry_of_adapters", lambda: registry)
+    units = nights.Nights().units(Options(tmp_path, "any"))
+    rows = {unit.key: nights.Nights().run(unit.about) for unit in units}
+    configs = [config for _, config, _ in stage.fits[-4:]]
+    assert set(rows) == {"adapted", *steps.WITHOUT}
+    assert found == [row["adapter"] for row in rows.values()]
+    assert rows["adapted"]["dataset"] == rows["adapted_no_kl"]["dataset"] == rows["adapted_no_entropy"]["dataset"]
+    assert rows["adapted_all"]["samples"] >= rows["adapted"]["samples"]
+    assert {config.fit for config in configs} == {configs[0].fit}
+    assert [(one.objective.beta, one.objective.lambda_h) for one in configs] == [
+        (0.05, 0.5), (0.05, 0.0), (0.0, 0.5), (0.05, 0.5)
+    ]  # fmt: skip
+    assert "adapted_no_kl" in "\n".join(nights.Nights().report(list(rows.values())))
 
 
 def test_what_somebody_else_proposed_teaches_nothing(tmp_path):
