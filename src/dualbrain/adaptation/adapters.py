@@ -51,8 +51,14 @@ class Adapters:
         self.folder = folder
 
     def add(self, source: Path, *, now: float) -> AdapterCard:
-        """Take in the adapter in the folder `source`; one that is here already stays as it is."""
+        """Take in the adapter in the folder `source`; one that is here already stays as it is.
+
+        Raises `InvalidSetup` for a folder that lacks a file, `DiskFull`.
+        """
         card = read_adapter_card(source)
+        if lacking := [name for name in FILES if not (source / name).is_file()]:
+            fix = "Name a folder that a fit has finished."
+            raise InvalidSetup(f"adapter in {source}", got=f"no {lacking[0]}", allowed=FILES, fix=fix)
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._alone():
             if not (self.folder / card.id).is_dir():
