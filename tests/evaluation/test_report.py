@@ -2,6 +2,7 @@
 
 import os
 import re
+import time
 from xml.etree import ElementTree
 
 import msgspec
@@ -23,11 +24,12 @@ from dualbrain.evaluation.grids import cell, failures, families, methods_of, num
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.origin import origin
 from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.runner import STAGES, Runner
 from dualbrain.evaluation.statistics import Estimate
-from dualbrain.evaluation.suite import read_suite
+from dualbrain.evaluation.suite import open_suite, read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
 from dualbrain.evaluation.unit import units_of
 from dualbrain.planner.protocol import STOP
@@ -258,6 +260,17 @@ def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
     named = "adapted=adapter:aa,base=template"
     assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
+    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
+    smoke = open_suite("smoke")
+    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare(origin())
+    assert call(asked) == 0
+    assert call([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
+    (tmp_path / "config.json").unlink()
+    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare({**origin(), "code": "another"})
+    assert call(asked) == 5
 
 
 def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):

@@ -137,15 +137,12 @@ def _parts(planner: str) -> dict[str, str]:
 
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
-    from dualbrain.evaluation.cost import costs
-    from dualbrain.evaluation.origin import origin
     from dualbrain.evaluation.planners import Sources
     from dualbrain.evaluation.runner import CONFIG, STAGES
     from dualbrain.evaluation.table_file import FILE, write_table
 
-    adapters = home() / "adapters"
-    runner.prepare(origin(), costs(runner.suite, adapters, runner.suite.robots[0]))
-    sources = Sources(cache(), adapters, os.environ.get("OPENAI_API_KEY", ""))
+    runner.prepare(*_here(runner.suite))
+    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
     whole = False
     try:
         whole = _passes(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
@@ -160,6 +157,14 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     if as_json:
         answer(msgspec.json.encode({"out": str(runner.out), "episodes": len(rows), "whole": whole}).decode())
     return Exit.SUCCESS if whole else Exit.FAILED_SAFELY
+
+
+def _here(suite: Any) -> tuple[Any, Any]:
+    """Code and versions that would fly `suite`, and what its adapters took."""
+    from dualbrain.evaluation.cost import costs
+    from dualbrain.evaluation.origin import origin
+
+    return origin(), costs(suite, home() / "adapters", suite.robots[0])
 
 
 def _passes(runner: Any, stages: Any, sources: Any, jobs: int) -> bool:
@@ -183,9 +188,14 @@ def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
 
 
 def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:
-    """What would be done, and how long it would take by what was measured here, else by a guess that says so."""
-    from dualbrain.evaluation.runner import STAGES
+    """What would be done, and how long it would take by what was measured here, else by a guess that says so.
 
+    Raises `InvalidSetup` where the folder could not be gone on with.
+    """
+    from dualbrain.evaluation.runner import CONFIG, STAGES
+
+    if (runner.out / CONFIG).exists():
+        runner.check(*_here(runner.suite))
     left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
     flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.journal("fly").lines()]
     asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]

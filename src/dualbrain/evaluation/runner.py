@@ -53,18 +53,22 @@ class Runner:
         """`clock` [s] measures the time left."""
         self.suite, self.out, self._clock, self._tell = suite, out, clock, tell
 
-    def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
-        """Write the resolved config; refuse a folder that holds another suite, other switches or other code.
+    def check(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> dict[str, Any]:
+        """The resolved config; raises `InvalidSetup` if the folder holds another suite, other switches or other code.
 
         Methods and the planners that they ask may be added to what is there: their episodes are others. `adapters` says
         what those took that the suite asks.
         """
-        config = resolved(self.suite, origin, adapters or {})
-        path = self.out / CONFIG
+        config, path = resolved(self.suite, origin, adapters or {}), self.out / CONFIG
         if path.exists():
             _same(msgspec.json.decode(path.read_bytes()), config, path)
+        return config
+
+    def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
+        """Write the resolved config, if the folder may be gone on with (see `check`)."""
+        config = self.check(origin, adapters)
         self.out.mkdir(parents=True, exist_ok=True)
-        write_durably(path, msgspec.json.format(msgspec.json.encode(config), indent=2))
+        write_durably(self.out / CONFIG, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
     def left(self, stage: Stage) -> list[Unit]:
         """Units of a pass that are not over, each with what is done of it."""
