@@ -58,7 +58,7 @@ class Adapters:
         card = read_adapter_card(source)
         if lacking := [name for name in FILES if not (source / name).is_file()]:
             fix = "Name a folder that a fit has finished."
-            raise InvalidSetup(f"adapter in {source}", got=f"no {lacking[0]}", allowed=FILES, fix=fix)
+            raise InvalidSetup(f"adapter in {source}", got=f"no {lacking[0]}", allowed=", ".join(FILES), fix=fix)
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._alone():
             if not (self.folder / card.id).is_dir():
