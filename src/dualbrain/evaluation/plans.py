@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import msgspec
 
+from dualbrain.adaptation.durable import write_durably
 from dualbrain.errors import DualbrainError
 from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP, Planner, propose_all
 from dualbrain.planner.request import PlanRequest
@@ -62,11 +61,7 @@ class Plans:
             return
         path = self._path(planner, request)
         self.folder.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile(dir=self.folder, suffix=".partial", delete=False) as partial:
-            partial.write(msgspec.json.encode(Kept(planner, path.stem, proposal)))
-            partial.flush()
-            os.fsync(partial.fileno())
-        Path(partial.name).replace(path)
+        write_durably(path, msgspec.json.encode(Kept(planner, path.stem, proposal)))
 
     def all(self) -> list[Kept]:
         """Every answer, by hash of its question."""

@@ -6,11 +6,11 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any
 
 import msgspec
 
+from dualbrain.adaptation.durable import write_durably
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.schema import short_form
 from dualbrain.memory.utility import Change, judge
@@ -74,9 +74,7 @@ class Counterfactuals:
             return None
         text = proposal.text if proposal.finish_reason == STOP else ""
         self._cache.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile("w", dir=self._cache, suffix=".partial", delete=False) as partial:
-            json.dump({"planner": self._planner.name, "text": text}, partial)
-        Path(partial.name).replace(path)
+        write_durably(path, json.dumps({"planner": self._planner.name, "text": text}).encode())
         return text
 
 
