@@ -39,5 +39,8 @@ def plot_rounds(rows: list[Row], path: Path) -> None:
         axis.set_xticks(numbers)
         axis.set_xlabel("round (0: the base)")
         axis.set_ylim(bottom=0.0, top=1.02 if MEASURES[names[0]].share else None)
-        axis.legend(frameon=False, fontsize=8)
+        if len(names) > 1:
+            axis.legend(frameon=False, fontsize=8)
+        else:
+            axis.set_title(names[0], fontsize=9)
     figure.savefig(path, dpi=110)
