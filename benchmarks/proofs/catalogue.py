@@ -24,6 +24,7 @@ from proofs.retention import Retention
 from proofs.robots import Robots
 from proofs.rounds import Rounds
 from proofs.runs import Contrast, Runs
+from proofs.starter import Starter
 from proofs.sweep import Sweep
 from proofs.tick import Tick
 from proofs.zoo import Zoo
@@ -34,7 +35,7 @@ PROOFS: dict[str, Proof] = {
         Picks(), Bare(), Sweep(), FamilySweep(), Runs(), Contrast(), Conservatism(), Kernel(), Adversary(),
         PlantAdversary(), Robots(), Zoo(), Kills(), Poisoning(), Learning(),
         Faults(), Cortex(), FuzzSocket(), Tick(), Language(), AdaptCurve(), Retention(), Rounds(), Nights(),
-        Outsider(),
+        Starter(), Outsider(),
     )
 }  # fmt: skip
 """`contrast` comes after `runs`, whose contracts it carries out."""

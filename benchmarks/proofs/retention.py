@@ -22,6 +22,7 @@ from dualbrain.planner.llama import LlamaConfig
 from dualbrain.weights import find_file, locate
 from proofs import adapt_curve
 from proofs.figures import share, table
+from proofs.no_answer import NoAnswer
 from proofs.proof import Options, Row, Unit
 
 BARE, BASE = "smollm2-135m-instruct", "base-135m"
@@ -41,14 +42,6 @@ QUESTIONS = (
     ("What is H2O commonly called?", "water"),
 )  # fmt: skip
 """A question and the words one of which a right answer holds."""
-
-
-class NoAnswer(RuntimeError):
-    """The engine broke or time ran out, which says nothing of the model: the unit is to be carried out again."""
-
-    def __init__(self, answer: Answer) -> None:
-        """Say what came instead."""
-        super().__init__(f"no answer: {answer.finish} {answer.detail}")
 
 
 class Retention:
@@ -79,7 +72,7 @@ class Retention:
             planner.close()
         texts = [text_of(one) for one in said]
         if isinstance(measured, Answer):
-            raise NoAnswer(measured)
+            raise NoAnswer(measured.finish, measured.detail)
         return {"arm": about["arm"], "seed": about["seed"], "perplexity": measured, "texts": texts,
                 "right": list(map(known, texts, (words for _, words in QUESTIONS)))}  # fmt: skip
 
@@ -101,7 +94,7 @@ class Retention:
 def text_of(said: Said | Answer) -> str:
     """The words of an answer; raises `NoAnswer`."""
     if isinstance(said, Answer):
-        raise NoAnswer(said)
+        raise NoAnswer(said.finish, said.detail)
     return said.text
 
 

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from proofs import adapt_curve, language, retention
+from proofs import adapt_curve, language, retention, starter
 
 from dualbrain.runtime.classroom import lessons
 
@@ -76,3 +76,28 @@ def test_a_known_answer_holds_one_of_the_words():
     assert "| base-135m | 9.50 | 1 of 2" in report
     assert "| full | 9.50, 10.50 | 2 of 4" in report
     assert retention.BARE not in report
+
+
+def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
+    good = {"compliant": True, "skills": True, "named": True, "declines": False, "decision_s": 1.0, "flight": None}
+    flown, bad = good | {"flight": {"kind": "succeeded", "Delta": 0.0}}, good | {"compliant": False}
+
+    def told(*pairs):
+        rows = [
+            {"key": str(place), "answers": {starter.SMALL: small, "base-135m": bad, starter.LARGE: large}}
+            for place, (small, large) in enumerate(pairs)
+        ]
+        return "\n".join(starter.Starter().report(rows))
+
+    even, worse = told((flown, bad), (bad, flown), (flown, flown)), told((flown, flown), (bad, flown))
+    assert f"+0% (95 % interval -100% to +100%); by the rule {starter.SMALL} is the planner" in even
+    assert f"| {starter.SMALL} | 2 of 3" in even
+    assert "| 2 of 2" in even
+    assert f"-50% (95 % interval -100% to +0%); by the rule {starter.SMALL} is not the planner" in worse
+    assert "| none yet |" in worse
+
+
+def test_the_questions_of_the_comparison_are_at_a_table_and_show_nothing():
+    asked = starter.questions()
+    assert len(asked) == starter.QUESTIONS
+    assert all(one.scene.startswith("panda ") and not language.shown(one) for one in asked)

@@ -1,0 +1,108 @@
+"""starter: the small planner that a robot taught on its first night, beside the planner eleven times its size.
+
+Both are asked as they serve, the one by the short prompt it was taught, the other by rules, skills and worked examples,
+each bound by the grammar of the scene. What is right is carried out with the filter on. The rule by which the small one
+becomes the planner that dualbrain starts with stood before either was asked: it is right at least as often.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from statistics import median
+from typing import Any
+
+from dualbrain.adaptation.sample import Sample
+from dualbrain.adaptation.serving.opening import open_planner
+from dualbrain.cli import folders
+from dualbrain.evaluation.statistics import compare, difference
+from dualbrain.planner.protocol import LENGTH, STOP, Planner
+from dualbrain.runtime.classroom import lessons
+from dualbrain.runtime.proposals import EPSILON, ROBOT, request_of
+from dualbrain.runtime.vocabulary import vocabulary
+from proofs.adapt_curve import flight
+from proofs.figures import share, table
+from proofs.language import judged, right
+from proofs.no_answer import NoAnswer
+from proofs.proof import Options, Row, Unit
+
+QUESTIONS, SEED = 60, 21
+SMALL, LARGE = "starter-135m", "qwen2.5-coder-1.5b-instruct"
+PLANNERS = (SMALL, "base-135m", LARGE)
+"""Who is asked; the base of the tables knows the language of contracts, and nothing of any body."""
+
+
+class Starter:
+    """Whether the first planner can be the small one."""
+
+    name = "starter"
+    claim = (
+        f"{QUESTIONS} held-out instructions at a table (other sentences, scenes, a family and kinds of things that no "
+        f"lesson held), each planner as it serves: {SMALL} is right at least as often as {LARGE}."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """A question each, so that whatever is done compares all planners at the same places."""
+        del options
+        return [Unit(f"question {number}", {"number": number}) for number in range(QUESTIONS)]
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """Ask everybody, judge each answer by the gate of the scene, carry out what is right."""
+        question = questions()[about["number"]]
+        return {**about, "answers": {name: answered(name, question) for name in PLANNERS}}
+
+    def brief(self, row: Row) -> str:
+        """Who was right."""
+        return ", ".join(f"{name} {'right' if right(one) else 'wrong'}" for name, one in row["answers"].items())
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """A line a planner, and the difference at the same questions."""
+        head = ("planner", "compliant", "right skills", "right", "these succeed", "with Δ ≤ ε", "median decision [s]")
+        answers = {name: [row["answers"][name] for row in rows] for name in PLANNERS}
+        return [*table(head, ((name, *figures(mine)) for name, mine in answers.items())), *verdict(rows)]
+
+
+def figures(answers: list[dict[str, Any]]) -> list[str]:
+    """Shares of all answers, then of the flights of those that are right, then the time that an answer takes."""
+    counts = [sum(one[what] for one in answers) for what in ("compliant", "skills")] + [sum(map(right, answers))]
+    flights = [one["flight"] for one in answers if one["flight"]]
+    done = [one["Delta"] for one in flights if one["kind"] == "succeeded"]
+    quiet = sum(Delta is not None and Delta <= EPSILON for Delta in done)
+    told = [share(count, len(answers)) for count in counts] + [
+        share(count, len(flights)) for count in (len(done), quiet)
+    ]
+    return [*told, f"{median(one['decision_s'] for one in answers):.1f}"]
+
+
+def verdict(rows: list[Row]) -> list[str]:
+    """The rule, and its answer."""
+    small, large = ({row["key"]: [float(right(row["answers"][name]))] for row in rows} for name in (SMALL, LARGE))
+    told = compare(small, large, difference)
+    words = "is" if told.effect >= 0.0 else "is not"
+    return [
+        f"Right, {SMALL} less {LARGE}, at the same questions: {told.effect:+.0%} (95 % interval {told.low:+.0%} to "
+        f"{told.high:+.0%}); by the rule {SMALL} {words} the planner that dualbrain starts with.",
+        "",
+    ]
+
+
+@cache
+def questions() -> tuple[Sample, ...]:
+    """The questions, always the same, without exemplars."""
+    return lessons(QUESTIONS, "test", SEED, {ROBOT: 1.0}, exemplars=0.0)
+
+
+@cache
+def planner(name: str) -> Planner:
+    """The planner called `name` as it serves, opened once a process."""
+    home = folders.home() / "adapters"
+    return open_planner(name, folders.cache(), adapters=home, robot=ROBOT, registry=vocabulary(ROBOT).hash)
+
+
+def answered(name: str, question: Sample) -> dict[str, Any]:
+    """The score of an answer, how long it took, and what became of it where it is right and something moves."""
+    said = planner(name).propose(request_of(question))
+    if said.finish_reason not in {STOP, LENGTH}:
+        raise NoAnswer(said.finish_reason)
+    told = judged(question, said.text)
+    deed = flight(told) if right(told) and not told["declines"] else None
+    return {**told, "bound": said.constrained_by, "decision_s": said.timings["total"], "flight": deed}
