@@ -21,8 +21,8 @@ from dualbrain.runtime.proposals import EPSILON, LEDGER, ROBOT, declined, flown,
 from dualbrain.runtime.vocabulary import vocabulary
 
 BASE = "smollm2-135m-instruct"
-SEED, PROPOSALS = 900, 460
-"""Of the proposals about one in eight is to be declined; the others are flights."""
+SEED, PROPOSALS = 900, 1400
+"""Of the proposals about one in eight is to be declined; the others are flights, and about half of them teach."""
 DEEDS_A_DECLINE = 5
 """At most one decline for so many deeds is taught."""
 DIALS = AdaptConfig(
