@@ -7,6 +7,7 @@ becomes the planner that dualbrain starts with stood before either was asked: it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from statistics import median
 from typing import Any
@@ -58,7 +59,27 @@ class Starter:
         """A line a planner, and the difference at the same questions."""
         head = ("planner", "compliant", "right skills", "right", "these succeed", "with Δ ≤ ε", "median decision [s]")
         answers = {name: [row["answers"][name] for row in rows] for name in PLANNERS}
-        return [*table(head, ((name, *figures(mine)) for name, mine in answers.items())), *verdict(rows)]
+        parts = [[name, *parted(mine)] for name, mine in answers.items()]
+        return [
+            *table(head, ((name, *figures(mine)) for name, mine in answers.items())),
+            *["Right, by what is asked:", ""],
+            *table(("planner", *PARTS), parts),
+            *verdict(rows),
+        ]
+
+
+PARTS: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "one goal": lambda one: one["goals"] == 1 and not one["declines"],
+    "two goals or more": lambda one: one["goals"] > 1,
+    "to be declined": lambda one: one["declines"],
+}
+"""What is asked for."""
+
+
+def parted(answers: list[dict[str, Any]]) -> list[str]:
+    """How many are right of each part."""
+    some = ([right(one) for one in answers if belongs(one)] for belongs in PARTS.values())
+    return [share(sum(one), len(one)) for one in some]
 
 
 def figures(answers: list[dict[str, Any]]) -> list[str]:

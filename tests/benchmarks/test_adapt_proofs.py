@@ -79,7 +79,15 @@ def test_a_known_answer_holds_one_of_the_words():
 
 
 def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
-    good = {"compliant": True, "skills": True, "named": True, "declines": False, "decision_s": 1.0, "flight": None}
+    good = {
+        "compliant": True,
+        "skills": True,
+        "named": True,
+        "declines": False,
+        "goals": 2,
+        "decision_s": 1.0,
+        "flight": None,
+    }
     flown, bad = good | {"flight": {"kind": "succeeded", "Delta": 0.0}}, good | {"compliant": False}
 
     def told(*pairs):
@@ -95,6 +103,7 @@ def test_the_small_planner_comes_first_only_where_it_is_right_as_often(drawn):
     assert "| 2 of 2" in even
     assert f"-50% (95 % interval -100% to +0%); by the rule {starter.SMALL} is not the planner" in worse
     assert "| none yet |" in worse
+    assert f"| {starter.SMALL} | none yet | 2 of 3 (21%–94%) | none yet |" in even
 
 
 def test_the_questions_of_the_comparison_are_at_a_table_and_show_nothing():
