@@ -13,13 +13,14 @@ from statistics import median
 from typing import Any
 
 from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving.opening import open_planner
+from dualbrain.adaptation.serving.packaged import packaged_names
 from dualbrain.cli import folders
+from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.statistics import compare, difference
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
+from dualbrain.planner.registry import planner_names
 from dualbrain.runtime.classroom import lessons
 from dualbrain.runtime.proposals import EPSILON, ROBOT, request_of
-from dualbrain.runtime.vocabulary import vocabulary
 from proofs.adapt_curve import flight
 from proofs.figures import share, table
 from proofs.language import judged, right
@@ -42,29 +43,33 @@ class Starter:
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """A question each, so that whatever is done compares all planners at the same places."""
+        """Question by question, to everybody that dualbrain comes with: any prefix compares at like places."""
         del options
-        return [Unit(f"question {number}", {"number": number}) for number in range(QUESTIONS)]
+        asked = [name for name in PLANNERS if name in (*packaged_names(), *planner_names())]
+        return [
+            Unit(f"question {number}, {who}", {"number": number, "who": who})
+            for number in range(QUESTIONS)
+            for who in asked
+        ]
 
     def run(self, about: dict[str, Any]) -> Row:
-        """Ask everybody, judge each answer by the gate of the scene, carry out what is right."""
-        question = questions()[about["number"]]
-        return {**about, "answers": {name: answered(name, question) for name in PLANNERS}}
+        """Ask, judge the answer by the gate of the scene, carry it out if it is right."""
+        return {**about, "answer": answered(about["who"], questions()[about["number"]])}
 
     def brief(self, row: Row) -> str:
-        """Who was right."""
-        return ", ".join(f"{name} {'right' if right(one) else 'wrong'}" for name, one in row["answers"].items())
+        """Whether it was right."""
+        return "right" if right(row["answer"]) else "wrong"
 
     def report(self, rows: list[Row]) -> list[str]:
         """A line a planner, and the difference at the same questions."""
+        answers = {who: [row["answer"] for row in rows if row["who"] == who] for who in PLANNERS}
+        asked = {who: mine for who, mine in answers.items() if mine}
         head = ("planner", "compliant", "right skills", "right", "these succeed", "with Δ ≤ ε", "median decision [s]")
-        answers = {name: [row["answers"][name] for row in rows] for name in PLANNERS}
-        parts = [[name, *parted(mine)] for name, mine in answers.items()]
         return [
-            *table(head, ((name, *figures(mine)) for name, mine in answers.items())),
+            *table(head, ((who, *figures(mine)) for who, mine in asked.items())),
             *["Right, by what is asked:", ""],
-            *table(("planner", *PARTS), parts),
-            *verdict(rows),
+            *table(("planner", *PARTS), ((who, *parted(mine)) for who, mine in asked.items())),
+            *[verdict(rows), ""],
         ]
 
 
@@ -84,26 +89,29 @@ def parted(answers: list[dict[str, Any]]) -> list[str]:
 
 def figures(answers: list[dict[str, Any]]) -> list[str]:
     """Shares of all answers, then of the flights of those that are right, then the time that an answer takes."""
-    counts = [sum(one[what] for one in answers) for what in ("compliant", "skills")] + [sum(map(right, answers))]
+    of_answers = [sum(one[what] for one in answers) for what in ("compliant", "skills")] + [sum(map(right, answers))]
     flights = [one["flight"] for one in answers if one["flight"]]
     done = [one["Delta"] for one in flights if one["kind"] == "succeeded"]
-    quiet = sum(Delta is not None and Delta <= EPSILON for Delta in done)
-    told = [share(count, len(answers)) for count in counts] + [
-        share(count, len(flights)) for count in (len(done), quiet)
-    ]
+    of_flights = [len(done), sum(Delta is not None and Delta <= EPSILON for Delta in done)]
+    told = [share(count, len(answers)) for count in of_answers]
+    told += [share(count, len(flights)) for count in of_flights]
     return [*told, f"{median(one['decision_s'] for one in answers):.1f}"]
 
 
-def verdict(rows: list[Row]) -> list[str]:
-    """The rule, and its answer."""
-    small, large = ({row["key"]: [float(right(row["answers"][name]))] for row in rows} for name in (SMALL, LARGE))
+def verdict(rows: list[Row]) -> str:
+    """The rule, and its answer; nothing is answered before both were asked the same."""
+    small, large = (
+        {str(row["number"]): [float(right(row["answer"]))] for row in rows if row["who"] == who}
+        for who in (SMALL, LARGE)
+    )
+    if not small.keys() & large.keys():
+        return f"{SMALL} and {LARGE} were not both asked, so the rule has no answer."
     told = compare(small, large, difference)
     words = "is" if told.effect >= 0.0 else "is not"
-    return [
+    return (
         f"Right, {SMALL} less {LARGE}, at the same questions: {told.effect:+.0%} (95 % interval {told.low:+.0%} to "
-        f"{told.high:+.0%}); by the rule {SMALL} {words} the planner that dualbrain starts with.",
-        "",
-    ]
+        f"{told.high:+.0%}); by the rule {SMALL} {words} the planner that dualbrain starts with."
+    )
 
 
 @cache
@@ -115,8 +123,7 @@ def questions() -> tuple[Sample, ...]:
 @cache
 def planner(name: str) -> Planner:
     """The planner called `name` as it serves, opened once a process."""
-    home = folders.home() / "adapters"
-    return open_planner(name, folders.cache(), adapters=home, robot=ROBOT, registry=vocabulary(ROBOT).hash)
+    return Sources(folders.cache(), folders.home() / "adapters").open(name, ROBOT)
 
 
 def answered(name: str, question: Sample) -> dict[str, Any]:
