@@ -6,16 +6,17 @@ import resource
 import pytest
 
 from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
-from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, fits, place_of
+from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, place_of
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import Decision
+from dualbrain.adaptation.serving.names import champion_of
 from dualbrain.errors import InvalidSetup, UnknownName
 
 PLACE = ("panda", "b" * 64)
 
 
-def made(folder, words, robot="panda"):
+def made(folder, words, robot="panda", base="b" * 64):
     """An adapter as a fit leaves it."""
     folder.mkdir()
     (folder / WEIGHTS).write_bytes(words.encode())
@@ -23,7 +24,7 @@ def made(folder, words, robot="panda"):
     card = AdapterCard(
         weights_id(folder),
         "smollm2",
-        "b" * 64,
+        base,
         robot,
         "r1",
         "p1",
@@ -167,9 +168,27 @@ def test_a_full_disk_leaves_registry_and_champion(registry, two, tmp_path, room)
 
 
 def test_it_serves_only_where_it_was_made_for(registry, two):
-    card = registry.card(two[0])
-    assert place_of(card) == PLACE
-    here = {"robot": "panda", "registry": "r1", "base_sha256": "b" * 64, "prompt": "p1"}
-    assert fits(card, **here) == ""
-    for name in here:
-        assert "made for" in fits(card, **(here | {name: "another"}))
+    assert place_of(registry.card(two[0])) == PLACE
+
+
+def test_what_is_only_added_changes_no_champion(registry, two, tmp_path):
+    """Of two bases, that on which one was promoted or rolled back to last; an added one swaps nothing."""
+    other = registry.add(made(tmp_path / "other", "other", base="c" * 64), now=2.0).id
+    with pytest.raises(InvalidSetup, match="champion of panda"):
+        champion_of(registry, "panda")
+    for one in (two[0], other):
+        registry.promote(one, yes(one, BARE), now=3.0)
+        assert champion_of(registry, "panda") == one
+    registry.add(made(tmp_path / "third", "third"), now=4.0)
+    assert champion_of(registry, "panda") == other
+    registry.promote(two[1], yes(two[1], two[0]), now=5.0)
+    assert champion_of(registry, "panda") == two[1]
+    for serving in (two[0], other):
+        registry.roll_back(PLACE, "a test", now=6.0)
+        assert champion_of(registry, "panda") == serving
+
+
+def test_without_a_registry_nothing_is_rolled_back_and_none_is_made(registry):
+    with pytest.raises(InvalidSetup, match="registry of adapters"):
+        registry.roll_back(PLACE, "a test", now=1.0)
+    assert not registry.folder.exists()

@@ -19,14 +19,14 @@ import torch
 from dualbrain import weights
 from dualbrain.adaptation.adapter_card import WEIGHTS, write_card
 from dualbrain.adaptation.adapters import BARE, Adapters
-from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.bases import find_base, hash_of_base
 from dualbrain.adaptation.promotion import Decision
 from dualbrain.adaptation.serving import gguf_cache, merged_gguf, packaged
 from dualbrain.adaptation.serving.adapted import NotItself
 from dualbrain.adaptation.serving.canary import Record
 from dualbrain.adaptation.serving.gguf_base import write_out
 from dualbrain.adaptation.serving.gguf_cache import served, worn
-from dualbrain.adaptation.serving.layers import base_of, stack_of
+from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, wear
 from dualbrain.adaptation.serving.speaking import say
@@ -136,8 +136,7 @@ def test_several_packaged_ones_stand_beside_each_other(place, tmp_path, monkeypa
         stack = stack_of(packaged.packaged_folder(name), place / "cache")
         assert [layer.card for layer in stack.layers] == [card]
         assert author(name, stack) == name
-        assert base_of((card.robot, card.id)) == name
-        assert find_base(name, place / "cache").worn == card.id
+        assert find_base(name, place / "cache").worn == hash_of_base(name) == card.id
 
 
 def test_it_proposes_under_the_grammar_and_signs_with_base_and_id(place):

@@ -7,27 +7,31 @@ import pytest
 
 from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
 from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
 from dualbrain.cli.exits import Exit
-from dualbrain.weights import find_file
 from tests.adaptation.test_promotion import results
+
+
+def put(home, words="weights", base="smollm2-135m-instruct"):
+    """Add an adapter of these weights to the registry in `home`; its id."""
+    source = home / f"source of {words}"
+    source.mkdir()
+    (source / WEIGHTS).write_bytes(words.encode())
+    (source / "adapter_config.json").write_text("{}")
+    card = AdapterCard(
+        weights_id(source), base, hash_of_base(base), "panda", "r", "p", "d" * 64, {base: 2}, False, "float32", 7,
+        None, AdaptConfig(), {},
+    )  # fmt: skip
+    write_card(card, source)
+    return Adapters(home / "adapters").add(source, now=0.0).id
 
 
 @pytest.fixture
 def name(tmp_path):
     """An adapter in the registry of this home, by its id."""
-    source = tmp_path / "source"
-    source.mkdir()
-    (source / WEIGHTS).write_bytes(b"weights")
-    (source / "adapter_config.json").write_text("{}")
-    base = "smollm2-135m-instruct"
-    card = AdapterCard(
-        weights_id(source), base, find_file(base).sha256, "panda", "r", "p", "d" * 64, {base: 2}, False, "float32", 7,
-        None, AdaptConfig(), {},
-    )  # fmt: skip
-    write_card(card, source)
-    return Adapters(tmp_path / "adapters").add(source, now=0.0).id
+    return put(tmp_path)
 
 
 @pytest.fixture
@@ -96,6 +100,25 @@ def test_one_damaged_adapter_hides_no_other(tell, name, tmp_path, sings):
     assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SETUP
     code, _, err = tell("adapters", "rollback", "--reason", "a test")
     assert (code, "the bare base serves again" in err) == (Exit.SUCCESS, True)  # the former one is damaged
+
+
+@pytest.mark.parametrize("base", ["smollm2-135m-instruct", "base-135m"])
+@pytest.mark.parametrize("named", [True, False])
+def test_each_base_is_rolled_back_by_its_name_or_as_that_which_serves(tell, tmp_path, sings, base, named):
+    one = put(tmp_path, base=base)
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results("", 20))))
+    tell("adapters", "promote", one[:8], "--measured", "m.json")
+    code, _, err = tell("adapters", "rollback", "--reason", "a test", *(("--base", base) if named else ()))
+    assert (code, "the bare base serves again" in err) == (Exit.SUCCESS, True)
+    assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == []
+
+
+@pytest.mark.parametrize("base", [(), ("--base", "base-135m")])
+def test_where_nothing_was_ever_added_there_is_nothing_to_roll_back(tell, tmp_path, base):
+    code, out, err = tell("adapters", "rollback", "--reason", "a test", *base)
+    assert (code, out) == (Exit.SETUP, "")
+    assert "allowed:" in err
+    assert not (tmp_path / "adapters").exists()
 
 
 @pytest.mark.parametrize("arguments", [("show", "abcd"), ("promote", "abcd", "--measured", "none.json")])

@@ -121,7 +121,7 @@ class Adapters:
     def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
         """Give the place back to whom it had before, and return that id; at last to the bare base.
 
-        One that was damaged meanwhile is passed over.
+        One that was damaged meanwhile is passed over. Raises `InvalidSetup` if nothing was promoted there.
         """
         if not reason.strip():
             raise InvalidSetup("reason", got=reason, allowed="a few words", fix="Say why with --reason.")
@@ -191,6 +191,10 @@ class Adapters:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
+        """Alone in the registry; raises `InvalidSetup` if there is none."""
+        if not self.folder.is_dir():
+            fix = "`dualbrain adapt` makes it with its first adapter."
+            raise InvalidSetup("registry of adapters", got="none", allowed=str(self.folder), fix=fix)
         with (self.folder / LOCK).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
@@ -208,17 +212,3 @@ class NotPromoted(DualbrainError):
 def place_of(card: AdapterCard) -> tuple[str, str]:
     """Where an adapter may serve: with this robot, on this base."""
     return card.robot, card.base_sha256
-
-
-def fits(card: AdapterCard, *, robot: str, registry: str, base_sha256: str, prompt: str) -> str:
-    """Why an adapter must not serve here, "" if it may.
-
-    Another robot, base or prompt template refuses for good. So does another vocabulary: its hash holds skills, units
-    and bounds, and an adapter writes what it was taught.
-    """
-    pairs = {
-        "robot": (card.robot, robot), "registry": (card.registry, registry), "base": (card.base_sha256, base_sha256),
-        "prompt template": (card.prompt, prompt),
-    }  # fmt: skip
-    wrong = [f"{name} {theirs[:16]}, here {ours[:16]}" for name, (theirs, ours) in pairs.items() if theirs != ours]
-    return f"made for {'; '.join(wrong)}" if wrong else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
 from dualbrain.weights import find_file, locate
@@ -24,6 +25,11 @@ class Base:
     def sha256(self) -> str:
         """What names it in a card: the hash of the file, or the id of the adapter on top of it."""
         return self.worn or self.gguf_sha256
+
+
+def hash_of_base(name: str) -> str:
+    """What names the base called `name` in a card; raises `UnknownName`, `InvalidSetup`. Its model need not be here."""
+    return read_adapter_card(packaged_folder(name)).id if name in packaged_names() else find_file(name).sha256
 
 
 def find_base(name: str, cache: Path) -> Base:

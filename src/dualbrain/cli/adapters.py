@@ -143,7 +143,7 @@ def promote(name: str, /, *, measured: Path) -> int:
     return Exit.SUCCESS
 
 
-def rollback(*, reason: str, robot: str = "panda", base: str = "smollm2-135m-instruct") -> int:
+def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
     """Let the former champion serve again, at last the bare base.
 
     Parameters
@@ -153,11 +153,14 @@ def rollback(*, reason: str, robot: str = "panda", base: str = "smollm2-135m-ins
     robot
         Whose planner.
     base
-        On which base.
+        On which base: from `dualbrain models list`, or base-135m; without it that of adapter:champion.
     """
-    from dualbrain.weights import find_file
+    from dualbrain.adaptation.bases import hash_of_base
+    from dualbrain.adaptation.serving.names import place_of_champion
 
-    now = registry_of_adapters().roll_back((robot, find_file(base).sha256), reason, now=time.time())
+    registry = registry_of_adapters()
+    place = (robot, hash_of_base(base)) if base else place_of_champion(registry, robot)
+    now = registry.roll_back(place, reason, now=time.time())
     Account().print(f"{now[:16] or 'the bare base'} serves again")
     return Exit.SUCCESS
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from dualbrain.adaptation.adapter_card import AdapterCard, read_adapter_card
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
 from dualbrain.errors import InvalidSetup
-from dualbrain.weights import MANIFEST, find_file, locate
+from dualbrain.weights import find_file, locate
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +56,6 @@ def stack_of(folder: Path, cache: Path) -> Stack:
     lowest = layers[0].card
     _require(lowest, find_file(lowest.base).sha256)
     return Stack(lowest.base, locate(lowest.base, cache), tuple(layers))
-
-
-def base_of(place: tuple[str, str]) -> str:
-    """The name of the base whose hash stands in a place of the registry, "" if nobody knows it."""
-    known = {file.sha256: file.name for file in MANIFEST.values()}
-    known |= {read_adapter_card(packaged_folder(name)).id: name for name in packaged_names()}
-    return known.get(place[1], "")
 
 
 def _require(card: AdapterCard, found: str) -> None:

@@ -44,10 +44,18 @@ def folder_of(name: str, adapters: Adapters, robot: str = "") -> Path:
 
 
 def champion_of(adapters: Adapters, robot: str) -> str:
-    """The adapter that serves for `robot`: of several bases, that which was promoted last."""
-    places = [entry.place for entry in adapters.journal() if entry.place[0] == robot]
+    """The adapter that serves for `robot`; raises `InvalidSetup` if none does."""
+    return adapters.champion(place_of_champion(adapters, robot))
+
+
+def place_of_champion(adapters: Adapters, robot: str) -> tuple[str, str]:
+    """Where the champion of `robot` serves: of several bases, that on which one was promoted or rolled back to last.
+
+    What was only added changes nothing. Raises `InvalidSetup` if no adapter serves.
+    """
+    places = [entry.place for entry in adapters.journal() if entry.place[0] == robot and entry.kind != "added"]
     for place in reversed(places):
-        if (serving := adapters.champion(place)) != BARE:
-            return serving
+        if adapters.champion(place) != BARE:
+            return place
     fix = "Promote one: `dualbrain adapters measure`, then `dualbrain adapters promote`."
     raise InvalidSetup(f"champion of {robot or 'no robot'}", got="none", allowed="a promoted adapter", fix=fix)
