@@ -5,12 +5,12 @@ import resource
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapter_card import BESIDE, CONFIG, WEIGHTS, AdapterCard, weights_id, write_card
 from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, place_of
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import Decision
-from dualbrain.adaptation.serving.names import champion_of
+from dualbrain.adaptation.serving.names import champion_of, folder_of
 from dualbrain.errors import InvalidSetup, UnknownName
 
 PLACE = ("panda", "b" * 64)
@@ -50,6 +50,14 @@ def registry(tmp_path):
 def two(registry, tmp_path):
     """A registry with two adapters, and their ids."""
     return [registry.add(made(tmp_path / words, words), now=1.0).id for words in ("first", "second")]
+
+
+def forget(registry, one):
+    """Leave the journal as it was written before it held hashes of config and card of `one`."""
+    path = registry.folder / JOURNAL
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    lines = [{key: line[key] for key in line if key != "files" or line["adapter"] != one} for line in lines]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
 
 
 def yes(candidate, champion, against=()):
@@ -118,6 +126,38 @@ def test_changed_weights_are_found_and_not_promoted(registry, two):
     with pytest.raises(InvalidSetup, match="were changed"):
         registry.promote(two[0], yes(two[0], BARE), now=2.0)
     assert registry.champion(PLACE) == BARE
+
+
+@pytest.mark.parametrize("file", BESIDE)
+def test_a_changed_config_or_card_is_found_wherever_changed_weights_are(registry, two, file):
+    first, second = two
+    registry.promote(first, yes(first, BARE), now=2.0)
+    path = registry.folder / first / file
+    whole = path.read_bytes()
+    for changed in (whole.replace(b"{", b'{"lora_alpha": 64, ', 1), None):
+        path.write_bytes(changed) if changed else path.unlink()
+        assert file in registry.verify()[first]
+        assert registry.verify()[second] == ""
+        for read in (registry.card, registry.at, lambda name: folder_of(f"adapter:{name}", registry)):
+            with pytest.raises(InvalidSetup, match=f"{file} of adapter.*was changed"):
+                read(first)
+        with pytest.raises(InvalidSetup, match="was changed"):
+            folder_of("adapter:champion", registry, "panda")
+    registry.promote(second, yes(second, first), now=3.0)
+    assert registry.roll_back(PLACE, "a test", now=4.0) == BARE  # the former one is passed over
+    path.write_bytes(whole)
+    assert registry.verify()[first] == ""
+
+
+def test_an_adapter_added_before_config_and_card_were_recorded_serves_as_ever(registry, two):
+    forget(registry, two[0])
+    (registry.folder / two[0] / CONFIG).write_text('{"lora_alpha": 64}')
+    assert (registry.recorded(two[0]), set(registry.recorded(two[1]))) == ({}, set(BESIDE))
+    assert set(registry.verify().values()) == {""}
+    registry.promote(two[0], yes(two[0], BARE), now=2.0)
+    assert folder_of("adapter:champion", registry, "panda") == registry.folder / two[0]
+    (registry.folder / two[0] / WEIGHTS).write_bytes(b"f1rst")
+    assert "were changed" in registry.verify()[two[0]]
 
 
 def test_a_damaged_adapter_is_not_taken_in(registry, tmp_path):

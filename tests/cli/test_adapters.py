@@ -11,6 +11,7 @@ from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
 from dualbrain.cli.exits import Exit
+from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
 
 
@@ -76,6 +77,18 @@ def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
     assert "were changed" in out
     assert tell("adapters", "export", name[:8], "out2")[0] == Exit.SETUP
     assert not (tmp_path / "out2").exists()
+
+
+def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_exported(tell, name, tmp_path):
+    assert "recorded" not in tell("adapters", "verify")[1]
+    (tmp_path / "adapters" / name / "adapter_config.json").write_text('{"lora_alpha": 64}')
+    code, out, _ = tell("adapters", "verify")
+    assert (code, "adapter_config.json of adapter" in out) == (Exit.FAILED_SAFELY, True)
+    assert tell("adapters", "export", name[:8], "out")[0] == Exit.SETUP
+    forget(Adapters(tmp_path / "adapters"), name)
+    code, out, _ = tell("adapters", "verify")
+    assert (code, "whole; config and card were not recorded" in out) == (Exit.SUCCESS, True)
+    assert tell("adapters", "export", name[:8], "out")[0] == Exit.SUCCESS
 
 
 def test_one_damaged_adapter_hides_no_other(tell, name, tmp_path, sings):

@@ -12,7 +12,9 @@ from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.patience import HeldOut
 from dualbrain.errors import InvalidSetup, MissingPart
 
-CARD, WEIGHTS = "adapter.json", "adapter_model.safetensors"
+CARD, WEIGHTS, CONFIG = "adapter.json", "adapter_model.safetensors", "adapter_config.json"
+BESIDE = (CONFIG, CARD)
+"""What says how the weights are worn, and where: α among them. The id does not cover these two."""
 
 
 class AdapterCard(msgspec.Struct, frozen=True):
@@ -69,6 +71,21 @@ def read_adapter_card(folder: Path) -> AdapterCard:
             "adapter weights", got=found, allowed=card.id, fix=f"They were changed: do not use. {folder}"
         )
     return card
+
+
+def hashes_beside(folder: Path) -> dict[str, str]:
+    """SHA-256 of each file of `BESIDE` in `folder`, "" for one that is not there."""
+    paths = ((name, folder / name) for name in BESIDE)
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "" for name, path in paths}
+
+
+def require_beside(folder: Path, recorded: dict[str, str]) -> None:
+    """Raise `InvalidSetup` if a file of `BESIDE` in `folder` is not the one `recorded`; one not recorded may be any."""
+    found = hashes_beside(folder)
+    for name, digest in recorded.items():
+        if found[name] != digest:
+            fix = f"It was changed: do not use. {folder}"
+            raise InvalidSetup(f"{name} of adapter", got=found[name] or "no file", allowed=digest, fix=fix)
 
 
 def proposed_by_others(sources: dict[str, int], base: str) -> bool:

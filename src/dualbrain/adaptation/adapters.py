@@ -14,13 +14,20 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.adaptation.adapter_card import CARD, WEIGHTS, AdapterCard, read_adapter_card
+from dualbrain.adaptation.adapter_card import (
+    BESIDE,
+    WEIGHTS,
+    AdapterCard,
+    hashes_beside,
+    read_adapter_card,
+    require_beside,
+)
 from dualbrain.adaptation.durable import DiskFull, sync_folder
 from dualbrain.adaptation.promotion import Decision
 from dualbrain.errors import DualbrainError, InvalidSetup, UnknownName
 
-CONFIG, JOURNAL, LOCK = "adapter_config.json", "journal.jsonl", ".lock"
-FILES = (WEIGHTS, CONFIG, CARD)
+JOURNAL, LOCK = "journal.jsonl", ".lock"
+FILES = (WEIGHTS, *BESIDE)
 BARE = ""
 """The id of no adapter: the base as it is."""
 
@@ -29,6 +36,7 @@ class Entry(msgspec.Struct, frozen=True):
     """One line of the journal: what was done to `adapter`, at `time` [s, 1970 UTC], why, and on what measurement.
 
     `place` is robot and hash of the base: each place has one champion. After "rolled back", `adapter` serves again.
+    "added" holds the SHA-256 of the `files` that the id does not cover; entries of before that was kept hold none.
     """
 
     kind: Literal["added", "promoted", "rolled back"]
@@ -37,6 +45,7 @@ class Entry(msgspec.Struct, frozen=True):
     time: float
     reason: str = ""
     decision: Decision | None = None
+    files: dict[str, str] = {}
 
 
 class Adapters:
@@ -61,10 +70,10 @@ class Adapters:
             raise InvalidSetup(f"adapter in {source}", got=f"no {lacking[0]}", allowed=", ".join(FILES), fix=fix)
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._alone():
-            if not (self.folder / card.id).is_dir():
-                self._copy(source, self.folder / card.id)
+            if not (target := self.folder / card.id).is_dir():
+                self._copy(source, target)
             if not any(entry.adapter == card.id for entry in self.journal()):
-                self._append(Entry("added", card.id, place_of(card), now))
+                self._append(Entry("added", card.id, place_of(card), now, files=hashes_beside(target)))
         return card
 
     def ids(self) -> tuple[str, ...]:
@@ -78,9 +87,19 @@ class Adapters:
             raise UnknownName("adapter", name, tuple(one[:16] for one in self.ids()), owner="this registry")
         return found[0]
 
+    def at(self, name: str) -> Path:
+        """The folder of one adapter; raises `InvalidSetup` if config or card in it are not those that were added."""
+        folder = self.folder / (one := self.find(name))
+        require_beside(folder, self.recorded(one))
+        return folder
+
     def card(self, name: str) -> AdapterCard:
-        """The card of one adapter, after its weights were found to be those that it names."""
-        return read_adapter_card(self.folder / self.find(name))
+        """The card of one adapter, after its files were found to be those that were added."""
+        return read_adapter_card(self.at(name))
+
+    def recorded(self, one: str) -> dict[str, str]:
+        """Hashes of config and card of the adapter `one` when it was added; none if that was not yet written down."""
+        return next((entry.files for entry in self.journal() if (entry.adapter, entry.kind) == (one, "added")), {})
 
     def journal(self) -> tuple[Entry, ...]:
         """All entries, oldest first. A last line that was cut off by a crash never happened."""
@@ -141,7 +160,7 @@ class Adapters:
 
     def _fault(self, one: str) -> str:
         try:
-            card = read_adapter_card(self.folder / one)
+            card = self.card(one)
         except DualbrainError as error:
             return str(error)
         return "" if card.id == one else f"its folder holds {card.id[:16]}"

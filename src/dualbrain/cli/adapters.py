@@ -78,7 +78,9 @@ def show(name: str, /) -> int:
 
 
 def verify(*, answers: Flag = False) -> int:
-    """Check that the weights of every adapter are those that its id names. Exit code 1 if not.
+    """Check that every adapter is as it was added: weights, config, card. Exit code 1 if not.
+
+    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded.
 
     Parameters
     ----------
@@ -90,7 +92,8 @@ def verify(*, answers: Flag = False) -> int:
     if answers:
         found = {one: fault or canary_fault(registry, one) for one, fault in found.items()}
     for one, fault in found.items():
-        answer(f"{one[:16]} {fault or 'whole'}")
+        unknown = "" if registry.recorded(one) else "; config and card were not recorded when it was added"
+        answer(f"{one[:16]} {fault or 'whole'}{unknown}")
     return Exit.FAILED_SAFELY if any(found.values()) else Exit.SUCCESS
 
 
@@ -99,7 +102,7 @@ def canary_fault(registry: Adapters, one: str) -> str:
     from dualbrain.adaptation.serving.opening import examine
 
     try:
-        return examine(registry.folder / one, cache(), registry.folder)
+        return examine(registry.at(one), cache(), registry.folder)
     except DualbrainError as error:
         return str(error)
 

@@ -61,13 +61,13 @@ def measure(
     from dualbrain.runtime.vocabulary import vocabulary
 
     registry, dataset = registry_of_adapters(), read_dataset(data)
-    stack = stack_of(registry.folder / registry.find(name), cache())
+    stack = stack_of(registry.at(name), cache())
     vocabulary_here = vocabulary(stack.top.robot)
     require_prompt(stack.top)
     require_fit(stack.top, stack.top.robot, vocabulary_here.hash)
     asked = questions(of_robot(dataset.held_out, stack.top.robot), most)
     champion = registry.champion(place_of(stack.top))
-    present = stack_of(registry.folder / champion, cache()) if champion != BARE else stack.below
+    present = stack_of(registry.at(champion), cache()) if champion != BARE else stack.below
     with ExitStack() as opened:
         flight = None
         if fly:

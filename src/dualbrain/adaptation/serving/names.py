@@ -37,10 +37,10 @@ def folder_of(name: str, adapters: Adapters, robot: str = "") -> Path:
     if short in packaged_names():
         return packaged_folder(short)
     if short == CHAMPION:
-        return adapters.folder / champion_of(adapters, robot)
+        return adapters.at(champion_of(adapters, robot))
     if "/" in short:
         return Path(short)
-    return adapters.folder / adapters.find(short)
+    return adapters.at(short)
 
 
 def champion_of(adapters: Adapters, robot: str) -> str:
