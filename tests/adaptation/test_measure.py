@@ -7,6 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 for part in ("torch", "peft", "gguf", "xllamacpp"):
     pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
@@ -29,12 +30,14 @@ from dualbrain.adaptation.serving.peft_lora import read_lora
 from dualbrain.adaptation.serving.speaking import Said
 from dualbrain.cli import adapters as adapters_command
 from dualbrain.cli import adapters_export, adapters_measure
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.memory.curation import note_adapter
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.chat import Answer
 from dualbrain.planner.llama import LlamaConfig
 from dualbrain.planner.short_prompt import short_template_hash
 from tests.adaptation import tiny_served
+from tests.adaptation.episodes import NOW, remember, several
 from tests.adaptation.test_gguf_lora import PROMPT, of_llama, of_torch
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import fitted, model
@@ -123,23 +126,57 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate(home):
-    rows = tuple(sample(number) for number in range(LEAST))
-    apart = dataset_hash(to_lines(()), to_lines(rows))
+def data_set(train, rows):
+    """A data set of samples for the robot of these tests."""
+    apart = dataset_hash(to_lines(train), to_lines(rows))
     card = DatasetCard(
-        apart, "", "panda", REGISTRY.hash, short_template_hash(), "", 0, 0, 0, LEAST, 0, 0, 0, {}, {}, 0.0, 1.5, 4,
-        1.0, "",
+        apart, "", "panda", REGISTRY.hash, short_template_hash(), "", 0, 0, len(train), len(rows), 0, 0, 0, {}, {},
+        0.0, 1.5, 4, 1.0, "",
     )  # fmt: skip
-    write_dataset(Dataset(card, (), rows), home / "data")
+    return Dataset(card, train, rows)
+
+
+@pytest.fixture
+def briefly(monkeypatch):
+    """Answers of three tokens, and a short text to retain."""
+    monkeypatch.setattr("dualbrain.adaptation.serving.measure.LONGEST", 3)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measure.retention_text", lambda: "The sea is blue.")
+
+
+def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate(home, briefly, capsys):
+    data = data_set((), tuple(sample(number) for number in range(LEAST)))
+    write_dataset(data, home / "data")
     one = Adapters(home / "adapters").ids()[0]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dualbrain.adaptation.serving.measure.LONGEST", 3)
-        patch.setattr("dualbrain.adaptation.serving.measure.retention_text", lambda: "The sea is blue.")
-        assert adapters_measure.measure(one[:12], data=home / "data", out=home / "m.json") == 0
+    assert adapters_measure.measure(one[:12], data=home / "data", out=home / "m.json", fly=False) == 0
     found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
-    assert (found.candidate.adapter, found.champion.adapter) == (one, "")
+    assert (found.candidate.adapter, found.champion.adapter, found.dataset) == (one, "", data.card.hash)
     assert len(found.candidate.trials) == LEAST
     assert found.candidate.perplexity != found.champion.perplexity
+    assert "not flown, so nothing can be promoted" in capsys.readouterr().err
+
+
+def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_asked(
+    home, briefly, capsys, monkeypatch
+):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(home))
+    (taught,) = several(1)
+    data = data_set((), (*(sample(number) for number in range(LEAST)), replace(sample(LEAST), memory=taught.id)))
+    write_dataset(data, home / "data")
+    one = Adapters(home / "adapters").ids()[0]
+    with pytest.raises(MissingPart, match="memory ledger"):
+        adapters_measure.measure(one, data=home / "data", out=home / "m.json")
+    asked = []
+    monkeypatch.setattr(
+        "dualbrain.runtime.remembered_flight.remembered_flight",
+        lambda ledger, rows, *, seed: asked.extend(rows) or (lambda row, text: (True, 0.001)),
+    )
+    remember(home, [taught], lambda memory: note_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()
+    assert adapters_measure.measure(one, data=home / "data", out=home / "m.json") == 0
+    found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
+    assert [row.id for row in asked] == [trial.question for trial in found.candidate.trials]
+    assert None not in {trial.success for told in (found.candidate, found.champion) for trial in told.trials}
+    assert len(asked) == LEAST
+    assert "left out: 1 questions" in capsys.readouterr().err
 
 
 def test_perplexity_is_that_of_torch(home):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from dualbrain.adaptation.promotion import Decision, Results, Tolerances, Trial, decide
 from dualbrain.errors import InvalidSetup
@@ -72,6 +73,39 @@ def test_less_intervention_alone_is_enough():
     new, old = results("new", 40, Delta=0.001), results("", 40, Delta=0.003)
     assert verdict(new, old).promotes
     assert not verdict(old, new).promotes
+
+
+def on_the_ground(told, kept=0):
+    """The same answers, carried out on the first `kept` questions only."""
+    rows = (structs.replace(t, success=None, Delta=None) if i >= kept else t for i, t in enumerate(told.trials))
+    return structs.replace(told, trials=tuple(rows))
+
+
+@pytest.mark.parametrize("kept", [0, 59])
+@pytest.mark.parametrize("who", [("candidate",), ("champion",), ("candidate", "champion")])
+def test_who_was_not_flown_on_every_question_is_not_promoted_and_told_how(who, kept):
+    both = {"candidate": results("new", 58), "champion": results("", 20)}
+    assert verdict(*both.values()).promotes
+    found = verdict(*(on_the_ground(told, kept) if name in who else told for name, told in both.items()))
+    assert len(found.against) == len(who)
+    for name, reason in zip(who, found.against, strict=True):
+        assert f"the {name} was not flown on {60 - kept} of 60 questions" in reason
+        assert "dualbrain adapters measure" in reason
+
+
+@pytest.mark.parametrize("new", [0, 30])
+def test_success_without_delta_is_no_reason_to_promote(new):
+    """Whether nothing was brought to the end, or both brought some, but never the same question."""
+    mine, theirs = results("new", 58, success=new), results("", 20, success=60)
+    rows = tuple(structs.replace(t, success=i >= 30, Delta=0.002) for i, t in enumerate(theirs.trials))
+    found = verdict(mine, structs.replace(theirs, trials=rows), Tolerances(success=1.0))
+    assert "Delta" not in found.measures
+    assert found.against == ("no Delta to compare: no question was brought to the end by both",)
+
+
+def test_a_champion_that_brings_nothing_to_the_end_has_no_delta_to_defend():
+    assert verdict(results("new", 58, success=30), results("", 0, success=0)).promotes
+    assert not verdict(results("new", 58, success=0), results("", 0, success=0)).promotes
 
 
 @given(st.integers(0, 40), st.integers(0, 40))

@@ -126,6 +126,13 @@ def test_each_base_is_rolled_back_by_its_name_or_as_that_which_serves(tell, tmp_
     assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == []
 
 
+def test_the_journal_names_the_data_set_of_the_measurement(tell, name, tmp_path, sings):
+    measured = Measured(results(name, 58), results("", 20), "d" * 64)
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(measured))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    assert Adapters(tmp_path / "adapters").journal()[-1].decision.dataset == "d" * 64
+
+
 @pytest.mark.parametrize("base", [(), ("--base", "base-135m")])
 def test_where_nothing_was_ever_added_there_is_nothing_to_roll_back(tell, tmp_path, base):
     code, out, err = tell("adapters", "rollback", "--reason", "a test", *base)

@@ -15,6 +15,7 @@ Values = NDArray[np.float64]
 LEAST = 30
 """Questions needed: with fewer, no difference that matters could be told from chance."""
 RESAMPLES = 2000
+FLY = "measure with `dualbrain adapters measure`, without --no-fly"
 
 
 class Trial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,10 +44,11 @@ class Results(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Measured(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a measurement leaves: both planners on the same questions."""
+    """What a measurement leaves: both planners on the same questions, held out of the data set of this hash."""
 
     candidate: Results
     champion: Results
+    dataset: str = ""
 
 
 class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,12 +86,16 @@ class Compared(msgspec.Struct, frozen=True):
 
 
 class Decision(msgspec.Struct, frozen=True):
-    """Whether `candidate` may take the place of `champion`, every measure, and the reasons against it."""
+    """Whether `candidate` may take the place of `champion`, every measure, and the reasons against it.
+
+    `dataset` is the hash of the data set that the questions are of, "" if that was not told.
+    """
 
     candidate: str
     champion: str
     measures: dict[str, Compared]
     against: tuple[str, ...]
+    dataset: str = ""
 
     @property
     def promotes(self) -> bool:
@@ -106,13 +112,15 @@ MEASURES: Mapping[str, tuple[Callable[[Trial], float], float]] = {
 """How each measure is read from a trial, and the sign of its gain. Δ of failures is not averaged with successes."""
 
 
-def decide(candidate: Results, champion: Results, tolerances: Tolerances, rng: np.random.Generator) -> Decision:
+def decide(
+    candidate: Results, champion: Results, tolerances: Tolerances, rng: np.random.Generator, *, dataset: str = ""
+) -> Decision:
     """Compare question by question (paired bootstrap of the mean difference, 95 %).
 
     Promise: it promotes only if at least one measure is better beyond chance (interval above 0) and none has fallen
     further than its tolerance. The second is judged by the mean, for the interval of some 30 questions is wider than
-    any tolerance worth having: more questions make the gate finer. Raises `InvalidSetup` for results that
-    do not compare.
+    any tolerance worth having: more questions make the gate finer. Success and Δ in closed loop are measures like the
+    rest, and speak against the candidate where they are missing. Raises `InvalidSetup` for results that do not compare.
     """
     pairs = _pairs(candidate, champion)
     measures = {
@@ -125,9 +133,29 @@ def decide(candidate: Results, champion: Results, tolerances: Tolerances, rng: n
     kept = Compared(champion.perplexity, candidate.perplexity, ratio, None, None, allowed)
     measures["perplexity"] = kept
     against = [f"{name} fell from {m.before:.4g} to {m.after:.4g}" for name, m in measures.items() if m.fallen]
+    against += _not_flown(candidate, champion) or _without_delta(pairs)
     if not any(measure.better for measure in measures.values()):
         against.append("nothing is better beyond chance")
-    return Decision(candidate.adapter, champion.adapter, measures, tuple(against))
+    return Decision(candidate.adapter, champion.adapter, measures, tuple(against), dataset)
+
+
+def _not_flown(candidate: Results, champion: Results) -> list[str]:
+    """Who was not flown on every question, in words."""
+    both = (("candidate", candidate.trials), ("champion", champion.trials))
+    lacking = [(who, sum(trial.success is None for trial in trials), len(trials)) for who, trials in both]
+    return [f"the {who} was not flown on {left} of {count} questions: {FLY}" for who, left, count in lacking if left]
+
+
+def _without_delta(pairs: list[tuple[Trial, Trial]]) -> list[str]:
+    """Why there is no Δ to compare, in words, none if there is one.
+
+    A champion that brought nothing to the end has none that could be raised: there success alone tells.
+    """
+    read, _ = MEASURES["Delta"]
+    known = [tuple(not math.isnan(read(trial)) for trial in pair) for pair in pairs]
+    alone = any(ours for ours, _ in known) and not any(champion.success for _, champion in pairs)
+    compared = any(all(pair) for pair in known)
+    return [] if compared or alone else ["no Delta to compare: no question was brought to the end by both"]
 
 
 def _pairs(candidate: Results, champion: Results) -> list[tuple[Trial, Trial]]:

@@ -129,7 +129,9 @@ def promote(name: str, /, *, measured: Path) -> int:
     except msgspec.DecodeError as error:
         allowed = "`candidate` and `champion`, each with `adapter`, `runtime`, `perplexity` and `trials`"
         raise InvalidSetup("results", got=str(error), allowed=allowed, fix=str(measured)) from error
-    decision = decide(results.candidate, results.champion, Tolerances(), np.random.default_rng(0))
+    decision = decide(
+        results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
+    )
     registry = registry_of_adapters()
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"

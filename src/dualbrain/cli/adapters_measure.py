@@ -22,12 +22,13 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def measure(
-    name: str, /, *, data: Path, out: Path, most: int = 0, fly: Flag = False, ledger: Path | None = None,
+    name: str, /, *, data: Path, out: Path, most: int = 0, fly: bool = True, ledger: Path | None = None,
     seed: int = 0, threads: int = 1, json: Flag = False,
 ) -> int:  # fmt: skip
     """Ask an adapter and the present champion the same held-out questions, and write what the gate wants to know.
 
-    Both answer freely, in the runtime that serves: no grammar, no schema, no examples. Then
+    Both answer freely, in the runtime that serves: no grammar, no schema, no examples. What they answer is carried out
+    in simulation. Questions that one of them is known to have been taught are left out. Then
     `dualbrain adapters promote NAME --measured OUT`.
 
     Parameters
@@ -41,9 +42,10 @@ def measure(
     most
         Ask at most so many questions, evenly chosen; 0 means all.
     fly
-        Carry each contract out in simulation, in the world its memory was made in: success and Δ in closed loop.
+        Carry each contract out in simulation, in the world its memory was made in: success and Δ in closed loop. With
+        --no-fly only the words are judged, and nothing is promoted by that.
     ledger
-        The memory that the data set was made of, for --fly; default in dualbrain's home.
+        The memory that the data set was made of; default in dualbrain's home. Without it nothing can be flown.
     seed
         Everything random in these worlds.
     threads
@@ -58,6 +60,7 @@ def measure(
     from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
     from dualbrain.adaptation.serving.layers import stack_of
     from dualbrain.adaptation.serving.measure import of_robot, questions
+    from dualbrain.adaptation.unseen import unseen
     from dualbrain.runtime.vocabulary import vocabulary
 
     registry, dataset = registry_of_adapters(), read_dataset(data)
@@ -65,24 +68,28 @@ def measure(
     vocabulary_here = vocabulary(stack.top.robot)
     require_prompt(stack.top)
     require_fit(stack.top, stack.top.robot, vocabulary_here.hash)
-    asked = questions(of_robot(dataset.held_out, stack.top.robot), most)
     champion = registry.champion(place_of(stack.top))
     present = stack_of(registry.at(champion), cache()) if champion != BARE else stack.below
     with ExitStack() as opened:
-        flight = None
-        if fly:
+        remembered = opened.enter_context(reader(ledger)) if fly or ledger else None
+        apart = of_robot(dataset.held_out, stack.top.robot)
+        kept = unseen(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
+        if len(kept) < len(apart):
+            Account().print(f"left out: {len(apart) - len(kept)} questions that one of the two was taught")
+        asked, flight = questions(kept, most), None
+        if fly and remembered:
             from dualbrain.runtime.remembered_flight import remembered_flight
 
-            flight = remembered_flight(opened.enter_context(reader(ledger)), seed=seed)
+            flight = remembered_flight(remembered, asked, seed=seed)
         results = [
             _results(one, who, asked, vocabulary_here, flight, threads)
             for one, who in ((stack, stack.top.id), (present, champion))
         ]
-    measured = Measured(*results)
+    measured = Measured(*results, dataset=dataset.card.hash)
     write_durably(out, msgspec.json.format(msgspec.json.encode(measured), indent=2))
     if json:
         tell(measured)
-    Account().print(f"written: {out}")
+    Account().print(f"written: {out}" if fly else f"written: {out}; not flown, so nothing can be promoted by it")
     return Exit.SUCCESS
 
 

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import msgspec
 
 from dualbrain.adaptation.sample import Sample
-from dualbrain.errors import UnknownName
+from dualbrain.errors import InvalidSetup
 from dualbrain.memory.derive import derive
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.runtime.rerun import run_instead
 
 
-def remembered_flight(ledger: LedgerReader, *, seed: int) -> Callable[[Sample, str], tuple[bool, float | None]]:
-    """Success by the robot's own senses, and Δ, of a contract in the scene that a sample was made of.
+def remembered_flight(
+    ledger: LedgerReader, asked: Sequence[Sample], *, seed: int
+) -> Callable[[Sample, str], tuple[bool, float | None]]:  # fmt: skip
+    """Success by the robot's own senses, and Δ, of a contract in the scene that one of `asked` was made of.
 
     The world is rebuilt from what was perceived (see `world.remembered`); the same seed gives every planner the same
-    world. Raises `UnknownName` for a sample of another ledger.
+    world. Raises `InvalidSetup`, before anything is flown, if one of `asked` is of another ledger.
     """
     state = derive(ledger)
+    if strange := [sample.memory for sample in asked if sample.memory not in state]:
+        fix = "Name the ledger that the data set was made of with --ledger; what no ledger made is asked with --no-fly."
+        raise InvalidSetup("memory of a question", got=strange[0], allowed="one of this ledger", fix=fix)
 
     def fly(sample: Sample, text: str) -> tuple[bool, float | None]:
-        if sample.memory not in state:
-            raise UnknownName("memory", sample.memory, (), owner="this ledger: name the one the data set was made of")
         done = run_instead(ledger, state[sample.memory], msgspec.json.decode(text), seed=seed)
         return done.succeeded, done.Delta
 
