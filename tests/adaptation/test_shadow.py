@@ -1,7 +1,10 @@
 """A candidate in the shadow is asked everything, heard by nobody, and written down."""
 
+import pytest
+
 from dualbrain.adaptation.serving.names import shadow_parts
 from dualbrain.adaptation.serving.shadow import Shadowed, glances, summary
+from dualbrain.errors import InvalidSetup
 from dualbrain.planner import protocol
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.questions import request
@@ -28,6 +31,13 @@ def test_an_answer_that_is_not_whole_is_never_the_same(tmp_path):
     log.write_bytes(log.read_bytes() + b'{"served":"torn')
     assert len(glances(log)) == 1
     assert summary(glances(tmp_path / "none.jsonl")) == "never asked in the shadow"
+
+
+def test_a_damaged_log_is_told(tmp_path):
+    log = tmp_path / "a.jsonl"
+    log.write_bytes(b"{}\n")
+    with pytest.raises(InvalidSetup, match="log of the shadow"):
+        glances(log)
 
 
 def test_a_name_says_who_stands_in_whose_shadow():

@@ -10,13 +10,17 @@ from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
+from dualbrain.adaptation.serving.opening import shadow_log
+from dualbrain.adaptation.serving.shadow import Glance
+from dualbrain.cli.adapters import HEARD
 from dualbrain.cli.exits import Exit
+from dualbrain.planner.protocol import STOP, TIMEOUT
 from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
 
 
 def put(home, words="weights", base="smollm2-135m-instruct"):
-    """Add an adapter of these weights to the registry in `home`; its id."""
+    """Add an adapter of these weights to the registry in `home`, and let it stand in the shadow; its id."""
     source = home / f"source of {words}"
     source.mkdir()
     (source / WEIGHTS).write_bytes(words.encode())
@@ -26,7 +30,18 @@ def put(home, words="weights", base="smollm2-135m-instruct"):
         None, AdaptConfig(), {},
     )  # fmt: skip
     write_card(card, source)
-    return Adapters(home / "adapters").add(source, now=0.0).id
+    one = Adapters(home / "adapters").add(source, now=0.0).id
+    stand_in_the_shadow(home, one, whole=HEARD)
+    return one
+
+
+def stand_in_the_shadow(home, one, whole, broken=0):
+    """Write down what `one` said in the shadow: so many whole answers, and so many that did not come to their end."""
+    log = shadow_log(home / "adapters", one)
+    log.parent.mkdir(exist_ok=True)
+    ends = [STOP] * whole + [TIMEOUT] * broken
+    said = [Glance("a planner", one, "words", "its answer", "my answer", finish, 1.0) for finish in ends]
+    log.write_bytes(b"".join(msgspec.json.encode(glance) + b"\n" for glance in said))
 
 
 @pytest.fixture
@@ -92,13 +107,7 @@ def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_export
 
 
 def test_one_damaged_adapter_hides_no_other(tell, name, tmp_path, sings):
-    other = tmp_path / "other"
-    other.mkdir()
-    (other / WEIGHTS).write_bytes(b"more weights")
-    (other / "adapter_config.json").write_text("{}")
-    registry = Adapters(tmp_path / "adapters")
-    write_card(msgspec.structs.replace(registry.card(name), id=weights_id(other)), other)
-    second = registry.add(other, now=1.0).id
+    second = put(tmp_path, "more weights")
     for one, before in ((name, ""), (second, name)):
         (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results(before, 20))))
         assert tell("adapters", "promote", one[:8], "--measured", "m.json")[0] == Exit.SUCCESS
@@ -124,6 +133,45 @@ def test_each_base_is_rolled_back_by_its_name_or_as_that_which_serves(tell, tmp_
     code, _, err = tell("adapters", "rollback", "--reason", "a test", *(("--base", base) if named else ()))
     assert (code, "the bare base serves again" in err) == (Exit.SUCCESS, True)
     assert json.loads(tell("adapters", "list", "--json")[1])["serving"] == []
+
+
+def last(home):
+    """The newest entry of the journal."""
+    return Adapters(home / "adapters").journal()[-1]
+
+
+def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_waived(tell, name, tmp_path, sings):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    stand_in_the_shadow(tmp_path, name, whole=HEARD - 1, broken=5)
+    sings[name] = "it is not asked its canaries before"
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+    assert (code, f"{HEARD - 1} of {HEARD} whole answers in the shadow" in err) == (Exit.FAILED_SAFELY, True)
+    assert f"shadow:{name[:16]}@" in err
+    assert last(tmp_path).kind == "added"
+    del sings[name]
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", "-1")[0] == Exit.USAGE
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", HEARD - 1)[0] == Exit.SUCCESS
+    assert last(tmp_path).reason == f"{HEARD - 1} answers in the shadow"
+    tell("adapters", "rollback", "--reason", "a test")
+    shadow_log(tmp_path / "adapters", name).unlink()
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)[0] == Exit.SUCCESS
+    assert last(tmp_path).reason == "the shadow was waived, with 0 answers in it"
+    assert "the shadow was waived" in tell("adapters", "history")[1]
+
+
+@pytest.mark.parametrize("fault", ["", "canary 0 was answered otherwise"])
+def test_a_rollback_asks_whoever_serves_again_and_says_what_it_finds(tell, name, tmp_path, sings, fault):
+    second = put(tmp_path, "more weights")
+    for one, before in ((name, ""), (second, name)):
+        (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results(before, 20))))
+        tell("adapters", "promote", one[:8], "--measured", "m.json")
+    sings[name] = fault
+    code, _, err = tell("adapters", "rollback", "--reason", "a test")
+    assert (last(tmp_path).kind, last(tmp_path).adapter) == ("rolled back", name)
+    assert f"{name[:16]} serves again" in err
+    assert code == (Exit.FAILED_SAFELY if fault else Exit.SUCCESS)
+    assert (f"will propose nothing: {fault}" if fault else "canaries are answered as they were") in err
+    assert tell("adapters", "rollback", "--reason", "a test")[0] == Exit.SUCCESS  # the bare base has no canaries
 
 
 def test_the_journal_names_the_data_set_of_the_measurement(tell, name, tmp_path, sings):

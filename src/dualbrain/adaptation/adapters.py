@@ -121,10 +121,11 @@ class Adapters:
         places = dict.fromkeys(entry.place for entry in self.journal())
         return tuple(one for one in map(self.champion, places) if one != BARE)
 
-    def promote(self, name: str, decision: Decision, *, now: float) -> None:
+    def promote(self, name: str, decision: Decision, *, now: float, reason: str = "") -> None:
         """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
 
-        Raises `NotPromoted` with the reasons, `InvalidSetup` for a decision about others.
+        `reason` tells what else was asked of it, or waived. Raises `NotPromoted` with the reasons, `InvalidSetup` for a
+        decision about others.
         """
         card = self.card(name)
         with self._alone():
@@ -135,7 +136,7 @@ class Adapters:
                 raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
             if not decision.promotes:
                 raise NotPromoted(card.id, decision.against)
-            self._append(Entry("promoted", card.id, place_of(card), now, decision=decision))
+            self._append(Entry("promoted", card.id, place_of(card), now, reason, decision))
 
     def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
         """Give the place back to whom it had before, and return that id; at last to the bare base.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from dualbrain.adaptation.adapters import Adapters
 
 Flag = Annotated[bool, Parameter(negative="")]
+Count = Annotated[int, Parameter(validator=validators.Number(gte=0))]
+HEARD = 10
+"""Whole answers in the shadow before a promotion: enough to see that it answers what is really asked; no measure."""
 
 
 def registry_of_adapters() -> Adapters:
@@ -107,10 +110,25 @@ def canary_fault(registry: Adapters, one: str) -> str:
         return str(error)
 
 
-def promote(name: str, /, *, measured: Path) -> int:
+def heard(registry: Adapters, one: str) -> int:
+    """How many whole answers an adapter gave in the shadow."""
+    from dualbrain.adaptation.serving.opening import shadow_log
+    from dualbrain.adaptation.serving.shadow import glances, whole
+
+    return whole(glances(shadow_log(registry.folder, one)))
+
+
+def shadow_fault(one: str, count: int, least: int) -> str:
+    """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
+    fix = f"let it hear more with `--planner shadow:{one[:16]}@NAME`, or waive that with `--shadow 0`"
+    return "" if count >= least else f"{count} of {least} whole answers in the shadow: {fix}"
+
+
+def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     """Let an adapter serve in place of the present champion, if it was measured better. Exit code 1 if it was not.
 
-    Before, it is asked its canaries in the runtime that serves: what it answers now it must answer at every start.
+    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`), and it is asked its canaries in
+    the runtime that serves: what it answers now it must answer at every start.
 
     Parameters
     ----------
@@ -118,6 +136,8 @@ def promote(name: str, /, *, measured: Path) -> int:
         The beginning of its id.
     measured
         A JSON file with the results of both on the same held-out questions, in the runtime that serves.
+    shadow
+        How many whole answers in the shadow it needs; 0 waives them, which the journal keeps.
     """
     import numpy as np
 
@@ -136,11 +156,13 @@ def promote(name: str, /, *, measured: Path) -> int:
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
-    if decision.promotes and (fault := canary_fault(registry, registry.find(name))):
+    count = heard(registry, one := registry.find(name))
+    if decision.promotes and (fault := shadow_fault(one, count, shadow) or canary_fault(registry, one)):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY
+    reason = f"{count} answers in the shadow" if shadow else f"the shadow was waived, with {count} answers in it"
     try:
-        registry.promote(name, decision, now=time.time())
+        registry.promote(name, decision, now=time.time(), reason=reason)
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY
@@ -149,7 +171,9 @@ def promote(name: str, /, *, measured: Path) -> int:
 
 
 def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
-    """Let the former champion serve again, at last the bare base.
+    """Let the former champion serve again, at last the bare base. Exit code 1 if it does not answer as it did.
+
+    It is asked its canaries afterwards: whoever has to go back is not kept from it, but told what serves now.
 
     Parameters
     ----------
@@ -167,6 +191,11 @@ def rollback(*, reason: str, robot: str = "panda", base: str = "") -> int:
     place = (robot, hash_of_base(base)) if base else place_of_champion(registry, robot)
     now = registry.roll_back(place, reason, now=time.time())
     Account().print(f"{now[:16] or 'the bare base'} serves again")
+    if now and (fault := canary_fault(registry, now)):
+        Account().print(f"but it will propose nothing: {fault}. Roll back once more, or mend that.")
+        return Exit.FAILED_SAFELY
+    if now:
+        Account().print("its canaries are answered as they were")
     return Exit.SUCCESS
 
 

@@ -11,6 +11,7 @@ from threading import Thread
 
 import msgspec
 
+from dualbrain.errors import InvalidSetup
 from dualbrain.planner.protocol import STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -76,19 +77,30 @@ class Shadowed:
 
 
 def glances(log: Path) -> tuple[Glance, ...]:
-    """What was written down; a last line that a crash cut off never happened."""
+    """What was written down; a last line that a crash cut off never happened.
+
+    Raises `InvalidSetup` for any other line that cannot be read.
+    """
     if not log.is_file():
         return ()
     *lines, _torn = log.read_bytes().split(b"\n")
-    return tuple(msgspec.json.decode(line, type=Glance) for line in lines)
+    try:
+        return tuple(msgspec.json.decode(line, type=Glance) for line in lines)
+    except msgspec.DecodeError as error:
+        raise InvalidSetup("log of the shadow", got=str(error), allowed="as it was written", fix=str(log)) from error
+
+
+def whole(seen: tuple[Glance, ...]) -> int:
+    """How many answers came to their end."""
+    return sum(one.finish == STOP for one in seen)
 
 
 def summary(seen: tuple[Glance, ...]) -> str:
     """How a candidate did in the shadow, in words."""
     if not seen:
         return "never asked in the shadow"
-    whole, same = sum(one.finish == STOP for one in seen), sum(one.same for one in seen)
+    same = sum(one.same for one in seen)
     return (
-        f"asked {len(seen)} times in the shadow: {whole} whole answers, {same} as who served, "
+        f"asked {len(seen)} times in the shadow: {whole(seen)} whole answers, {same} as who served, "
         f"{median(one.seconds for one in seen):.1f} s each (median)"
     )
