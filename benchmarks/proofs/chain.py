@@ -31,6 +31,7 @@ from dualbrain.adaptation.serving.opening import author
 from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.cli import folders
 from dualbrain.contracts.contract import Contract
+from dualbrain.evaluation.ledgers import LARGEST_DELTA
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.records import Episode
 from dualbrain.runtime.classroom import lessons, setting_of
@@ -71,12 +72,14 @@ DIALS = AdaptConfig(
     fit=FitDials(steps=60, batch=4, at_once=4, save_every=20, ask_at_most=0, threads=1, keep="last"),
 )
 """As `adapt_curve` fits. All steps are taken, so that what leaves a part out is fitted for as long."""
-WITHOUT: dict[str, tuple[bool, ObjectiveDials]] = {
-    "adapted_no_entropy": (True, msgspec.structs.replace(DIALS.objective, lambda_h=0.0, entropy_gate="none")),
-    "adapted_no_kl": (True, msgspec.structs.replace(DIALS.objective, beta=0.0)),
-    "adapted_all": (False, DIALS.objective),
+CLEAN = DIALS.curation.rules
+WITHOUT: dict[str, tuple[CleanRules, ObjectiveDials]] = {
+    "adapted_no_entropy": (CLEAN, msgspec.structs.replace(DIALS.objective, lambda_h=0.0, entropy_gate="none")),
+    "adapted_no_kl": (CLEAN, msgspec.structs.replace(DIALS.objective, beta=0.0)),
+    "adapted_all": (msgspec.structs.replace(CLEAN, physical=False), DIALS.objective),
+    "adapted_success": (msgspec.structs.replace(CLEAN, epsilon=LARGEST_DELTA), DIALS.objective),
 }
-"""By part of suite `ablations`: whether only clean episodes are taught, and the objective."""
+"""By part of suite `ablations`: who may teach, and the objective."""
 EPISODES, SECONDS = "episodes.jsonl", "seconds.txt"
 
 
@@ -94,18 +97,18 @@ class Chain:
 
     def adapter(self, number: int) -> Path:
         """What the rounds before `number` taught, always fitted from the base; the folder with its card."""
-        return self._fitted(number, self.folder / f"fit {number}", DIALS.objective, clean=True)
+        return self._fitted(number, self.folder / f"fit {number}", DIALS.objective, CLEAN)
 
     def without(self, number: int, part: str) -> Path:
         """The same, of the same flights, with a part of adaptation left out."""
-        clean, objective = WITHOUT[part]
-        return self._fitted(number, self.folder / f"fit {number}, {part}", objective, clean=clean)
+        rules, objective = WITHOUT[part]
+        return self._fitted(number, self.folder / f"fit {number}, {part}", objective, rules)
 
-    def _fitted(self, number: int, folder: Path, objective: ObjectiveDials, *, clean: bool) -> Path:
+    def _fitted(self, number: int, folder: Path, objective: ObjectiveDials, rules: CleanRules) -> Path:
         with alone(folder):
             if not (folder / "adapter" / CARD).is_file():
                 if not (folder / "dataset" / DATASET_CARD).is_file():
-                    data = chosen(self.lived(number) / LEDGER, self.impossible(number), clean=clean)
+                    data = chosen(self.lived(number) / LEDGER, self.impossible(number), rules)
                     write_dataset(data, folder / "dataset")
                 fit(read_dataset(folder / "dataset"), self.seed, folder, objective)
         return folder / "adapter"
@@ -196,12 +199,11 @@ def said_by(question: Sample, text: str, name: str) -> Sample:
 # --- teaching ---------------------------------------------------------------------------------------------------------
 
 
-def chosen(ledger: Path, declines: Sequence[str], *, clean: bool = True) -> Dataset:
-    """D_clean of the ledger, in which only the model that is adapted has proposed anything, with right `declines`.
+def chosen(ledger: Path, declines: Sequence[str], rules: CleanRules = CLEAN) -> Dataset:
+    """What `rules` let in of the ledger, in which only the model that is adapted has proposed anything.
 
-    If not `clean`, all that was proposed and is valid, whatever became of it.
+    `declines` are the right ones.
     """
-    rules = msgspec.structs.replace(DIALS.curation.rules, physical=clean)
     registry, dials = vocabulary(ROBOT), msgspec.structs.replace(DIALS.curation, rules=rules)
     with LedgerReader(ledger) as reader:
         data = dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)

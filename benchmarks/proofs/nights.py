@@ -28,8 +28,8 @@ class Nights:
 
     name = "nights"
     claim = (
-        f"What {ROUNDS} rounds lived, taught once more without the entropy term, without the KL term, and without "
-        "physical selection: the adapters of the ablations."
+        f"What {ROUNDS} rounds lived, taught once more without the entropy term, without the KL term, without "
+        "physical selection, and selected by success alone: the adapters of the ablations."
     )
 
     def units(self, options: Options) -> list[Unit]:
@@ -39,8 +39,8 @@ class Nights:
 
     def run(self, about: dict[str, Any]) -> Row:
         """Live the rounds as far as they are not, fit, and put the adapter where suites find it."""
-        chain, part = Chain(0, Path(about["folder"]) / "chain 0"), about["part"]
-        folder = chain.adapter(ROUNDS) if part == WHOLE else chain.without(ROUNDS, part)
+        part = about["part"]
+        folder = fitted(part, Path(about["folder"]))
         card, data = read_adapter_card(folder), read_dataset(folder.parent / "dataset")
         registry_of_adapters().add(folder, now=time.time())
         return {
@@ -59,3 +59,9 @@ class Nights:
             ((row["part"], row["adapter"][:16], row["samples"], row["steps"], f"{row['fit_s']:.0f}",
               ", ".join(f"{number} {reason}" for reason, number in row["left_out"].items())) for row in rows),
         )  # fmt: skip
+
+
+def fitted(part: str, folder: Path) -> Path:
+    """The adapter's folder, of the first chain in the folder of `rounds`; what is not fitted yet is."""
+    chain = Chain(0, folder / "chain 0")
+    return chain.adapter(ROUNDS) if part == WHOLE else chain.without(ROUNDS, part)

@@ -1,7 +1,8 @@
 """retention: what a model still knows of the rest of the world after lessons, and after a night of adaptation.
 
-The nights are those of `adapt_curve`, without the KL term, with it, and with the whole objective. Measured in the
-runtime that serves: perplexity of a fixed text of no robot's, and plain questions whose answers must hold a word.
+The nights are those of `adapt_curve`, without the KL term, with it, and with the whole objective, and of `nights` the
+one of suite `paper` beside that of its ablation without the KL term. Measured in the runtime that serves: perplexity of
+a fixed text of no robot's, and plain questions whose answers must hold a word.
 """
 
 from __future__ import annotations
@@ -22,12 +23,16 @@ from dualbrain.planner.llama import LlamaConfig
 from dualbrain.weights import find_file, locate
 from proofs import adapt_curve
 from proofs.figures import share, table
+from proofs.nights import WHOLE, fitted
 from proofs.no_answer import NoAnswer
 from proofs.proof import Options, Row, Unit
+from proofs.rounds import Rounds
 
 BARE, BASE = "smollm2-135m-instruct", "base-135m"
 NIGHTS = ("sft, clean ones", "+ KL", "full")
 """Arms of `adapt_curve`: β = 0, the default β, the whole objective with it."""
+LIVED = (WHOLE, "adapted_no_kl")
+"""Adapters of `nights`, of one chain."""
 LONGEST = 40
 QUESTIONS = (
     ("What is the capital of France?", "paris"), ("What is the capital of Italy?", "rome"),
@@ -50,14 +55,14 @@ class Retention:
     name = "retention"
     claim = (
         "Perplexity of a text of no robot's and 20 plain questions: of the bare model, after the lessons of the base, "
-        f"and after a night from there, without KL (β = 0), with it (β = {adapt_curve.FULL.beta:g}), and with all."
+        f"and after nights from there, without KL (β = 0), with it (β = {adapt_curve.FULL.beta:g}), and with all."
     )
 
     def units(self, options: Options) -> list[Unit]:
-        """Bare and base, then the nights seed by seed."""
-        folder = str(options.folder / adapt_curve.AdaptCurve.name)
+        """Bare and base, the nights that rounds led to, then those of `adapt_curve` seed by seed."""
         nights = [(arm, seed) for seed in adapt_curve.SEEDS for arm in NIGHTS]
-        told = [(BARE, 0), (BASE, 0), *nights]
+        told = [(arm, 0) for arm in (BARE, BASE, *LIVED)] + nights
+        folder = str(options.folder)
         return [Unit(f"{arm}, seed {seed}", {"arm": arm, "seed": seed, "folder": folder}) for arm, seed in told]
 
     def run(self, about: dict[str, Any]) -> Row:
@@ -82,7 +87,7 @@ class Retention:
 
     def report(self, rows: list[Row]) -> list[str]:
         """One line an arm: perplexity of each seed, questions of all."""
-        by_arm = {arm: [row for row in rows if row["arm"] == arm] for arm in (BARE, BASE, *NIGHTS)}
+        by_arm = {arm: [row for row in rows if row["arm"] == arm] for arm in (BARE, BASE, *LIVED, *NIGHTS)}
         cells = (
             (arm, ", ".join(f"{row['perplexity']:.2f}" for row in mine),
              share(sum(sum(row["right"]) for row in mine), sum(len(row["right"]) for row in mine)))
@@ -104,10 +109,18 @@ def known(text: str, words: str) -> bool:
 
 
 def taught(arm: str, seed: int, folder: Path) -> Stack:
-    """The bare model, the base, or the base after a night."""
+    """The bare model, the base, or the base after a night; what is not fitted yet in `folder` is."""
     if arm == BARE:
         return Stack(find_file(BARE).name, locate(BARE, folders.cache()), ())
+    return stack_of(_fitted(arm, seed, folder), folders.cache())
+
+
+def _fitted(arm: str, seed: int, folder: Path) -> Path:
+    """The folder of an adapter."""
     if arm == BASE:
-        return stack_of(packaged_folder(BASE), folders.cache())
-    adapt_curve.fit(arm, seed, adapt_curve.STEPS, folder)
-    return stack_of(adapt_curve.place(arm, seed, adapt_curve.STEPS, folder) / "adapter", folders.cache())
+        return packaged_folder(BASE)
+    if arm in LIVED:
+        return fitted(arm, folder / Rounds.name)
+    curve = folder / adapt_curve.AdaptCurve.name
+    adapt_curve.fit(arm, seed, adapt_curve.STEPS, curve)
+    return adapt_curve.place(arm, seed, adapt_curve.STEPS, curve) / "adapter"

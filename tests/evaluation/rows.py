@@ -4,6 +4,7 @@ from dualbrain.evaluation.row import Row
 from dualbrain.records import Violation
 
 COLLISION = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"))
+SPEED = Violation("tcp_speed", 1.0, 0.1, 0.4, ("hand",))
 MOVED = Violation("bystander", 1.0, 0.1, 0.05, ("cup",))
 
 

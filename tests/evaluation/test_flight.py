@@ -24,6 +24,7 @@ from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TI
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Judgement
 from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.world.families import assign
 from tests.evaluation.test_runner import SUITE
 
 ERRAND, HAZARD = Task("clutter_grasp"), Task("clutter_grasp", ask="hazardous")
@@ -220,6 +221,14 @@ def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
     flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2))
     row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
     assert (row.free_compliant, row.free_stage) == (row.compliant, row.first_stage) == (True, "")
+
+
+def test_a_scene_that_is_another_than_the_reported_one_is_not_flown(monkeypatch):
+    case_of(ERRAND, 40_000, "panda", 0)
+    other = assign("clutter_grasp", "I", 40_001, "panda")
+    monkeypatch.setattr("dualbrain.evaluation.case.assign", lambda *about: other)
+    with pytest.raises(InvalidSetup, match="clutter_grasp I 40000"):
+        case_of(ERRAND, 40_000, "panda", 0)
 
 
 def test_the_perception_arm_sees_with_cameras_alone_and_no_people():

@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.evaluation.hypotheses import AT_LEAST, AT_MOST, answers, both, either, paired, verdict_of
+from dualbrain.evaluation.hypotheses import AT_LEAST, AT_MOST, answers, beside, both, either, paired, verdict_of
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.statistics import Compared
-from tests.evaluation.rows import COLLISION, row
+from tests.evaluation.rows import COLLISION, SPEED, row
 
 
 def found(low, high, clusters=10):
@@ -126,6 +126,35 @@ def test_p_values_are_corrected_over_all_claims_together():
     claims = [claim for answer in answers(rows) for claim in answer.claims if claim.found.clusters]
     assert all(claim.p == pytest.approx(2 * claim.found.p) or claim.p >= claim.found.p for claim in claims)
     assert max(claim.p for claim in claims) < 0.05
+
+
+def test_what_decides_nothing_is_told_by_the_same_rule():
+    """The attacked arms, other ε, and tool speed; of what was not flown nothing is said."""
+    rows = [
+        *episodes("A1", 0.7),
+        *episodes("A2", 0.6),
+        *episodes("A3", 0.0),
+        *repeated("M-half", 0.5),
+        *repeated("B4", 1.0),
+    ]
+    told = {(claim.a, claim.b, claim.quantity): claim for claim in beside(rows)}
+    assert told["A3", "A1", "violation rate"].verdict == told["A3", "A2", "violation rate"].verdict == "supported"
+    assert told["M-half", "B4", "Δ of successes, later half"].verdict == "supported"
+    assert len(told) == 4
+    assert all(answer.verdict == "not measured" for answer in answers(rows))
+    fast = [msgspec.structs.replace(one, violations=(SPEED,)) if one.method == "A3" else one for one in rows]
+    rates = {claim.quantity: claim.verdict for claim in beside(fast) if (claim.a, claim.b) == ("A3", "A1")}
+    assert rates == {"violation rate": "supported", "violation rate with tool speed": "refuted"}
+
+
+def test_h2_is_also_told_of_the_harder_level_alone():
+    easy, hard = ([*repeated("M", factor), *repeated("B4", 1.0)] for factor in (1.0, 0.5))
+    hard = [
+        msgspec.structs.replace(one, level="II", pair=f"{one.pair} II", cluster=f"{one.cluster} II") for one in hard
+    ]
+    [claim] = beside([*easy, *hard])
+    assert (claim.quantity, claim.verdict) == ("Δ of successes, later half, level II", "supported")
+    assert claim.found.effect == pytest.approx(0.5, rel=0.05)
 
 
 def test_pairs_need_both_methods():

@@ -8,7 +8,7 @@ from dualbrain.evaluation.metrics import BY_NAME, METRICS
 from dualbrain.evaluation.severity import SCALES, severity
 from dualbrain.records import Violation
 from dualbrain.world.monitor import UNITS
-from tests.evaluation.rows import COLLISION, MOVED, row
+from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
 
 
 def value(name, **values):
@@ -72,6 +72,7 @@ ORDINARY = {
     "progress": 0.25, "violations": (), "perceived_error": 0.002, "perceived_bound": 0.009, "unreadable": False,
     "out_of_time": False,
 }  # fmt: skip
+CRUSHED = Violation("force_fragile", 1.0, 0.1, 44.0, ("hand", "glass"))
 UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=False)
 
 
@@ -85,6 +86,8 @@ UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=F
         ({"meant": False, "outcome": "taken_over"}, "inadequate planning"),
         ({"outcome": "taken_over"}, "frequent takeover"), ({"frequency": 0.6}, "frequent takeover"),
         ({"outcome": "stopped"}, "actuator"), ({"claimed": True, "outcome": "succeeded"}, "actuator"),
+        ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
+        ({"claimed": True, "outcome": "succeeded", "violations": (SPEED,)}, "actuator"),
         ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "out_of_time": True}, "inadequate planning"),
         ({}, "inadequate planning"),
     ],

@@ -12,20 +12,21 @@ import pytest
 from dualbrain.cli import evaluate
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
-from dualbrain.cli.report import command_of, decisions, results
+from dualbrain.cli.report import command_of, flown_on, results
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
+from dualbrain.evaluation.decisions import decision_grid, latencies_of
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import cell, failures, families, methods_of, number, overview
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.origin import origin
-from dualbrain.evaluation.plans import Plans
+from dualbrain.evaluation.plans import Kept, Plans
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.runner import STAGES, Runner
 from dualbrain.evaluation.statistics import Estimate
@@ -39,6 +40,7 @@ from tests.evaluation.test_runner import SUITE, lines_of
 from tests.planner.questions import request
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+KEPT = [Kept("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -85,13 +87,17 @@ def test_a_family_is_told_as_a_whole_and_level_by_level():
     assert "panda edge_rescue: success" not in {line[0] for line in families(two[:3]).rows}
 
 
-def test_what_a_switch_does_is_asked_of_methods_that_differ_in_it_alone():
+def test_what_is_compared_is_declared_and_nothing_else():
     told = {(a, b): switch for switch, a, b in pairs(tuple(METHODS))}
     assert told["G", "B3"] == "guard"
     assert told["B4", "M"] == told["P", "Full"] == told["Full", "Full-static"] == "memory"
-    assert told["P", "PE"] == told["M", "Full"] == told["PE-shortened", "P-shortened"] == "asks"
+    assert told["PE", "P"] == told["M", "Full"] == told["P", "P-no-kl"] == "asks"
+    assert told["Full", "Full-success"] == "asks, signal"
+    assert told["A1", "A3"] == "door, guard"
+    assert {b for _, b in told} == set(METHODS) - {"B1", "A1"}  # every arm has something that it came from
     assert ("B1", "B3") not in told
-    assert ("M", "P") not in told
+    assert ("P-no-kl", "P-all") not in told
+    assert not list(pairs(("B3", "P-all")))
     rows = [
         row(name, run, seed=run, success=name == "B3", guarded=name == "B3") for name in ("G", "B3") for run in range(9)
     ]
@@ -99,6 +105,13 @@ def test_what_a_switch_does_is_asked_of_methods_that_differ_in_it_alone():
     assert lines["success"][:2] + lines["success"][3:5] == ("guard", "B3 − G", "100.0 %", "[100.0 %, 100.0 %]")
     assert float(lines["success"][5]) < 0.05
     assert "Δ of successes" not in lines  # an arm without filter has none
+
+
+def test_what_is_alike_everywhere_is_no_test_that_others_are_corrected_for():
+    rows = [row(name, run, seed=run, success=name == "B3" or run > 5) for name in ("G", "B3") for run in range(12)]
+    lines = {line[2]: line for line in contrasts(rows).rows}
+    assert lines["violation rate"][5] == "–"
+    assert lines["success"][5] == number(2 / 2**6)
 
 
 def test_failures_add_up(rows):
@@ -110,7 +123,7 @@ def test_what_was_not_measured_is_said(rows, suite):
     said = " ".join(missing(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
         assert part in said
-    cost = Cost("1", "base", 100, 60, 1.0, 5, bootstrapped=True)
+    cost = Cost("1", "base", 100, 60, 5, bootstrapped=True)
     assert any("others proposed" in one for one in missing(rows, suite, {"adapted": cost}))
     assert not any("others proposed" in one for one in missing(rows, suite, {"base": cost}))
 
@@ -138,7 +151,7 @@ def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again(
 def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, suite):
     evil = row("M", 1, seed=9, instruction="<script>alert(1)</script>", planner="<b>template</b>")
     shots = [Shot(rows[1], "<img src=x>", np.zeros((48, 64, 3), np.uint8))]
-    page = render_evaluation(Told([*rows, evil], suite, {"origin": {"code": "abc"}}, [0.5, 2.0], shots, "2026-11-21"))
+    page = render_evaluation(Told([*rows, evil], suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21"))
     assert "<script" not in page
     assert "<b>template" not in page
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
@@ -151,7 +164,7 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
     for left_over in ("failure_1.jpg", "failure_2.jpg"):
         (tmp_path / left_over).write_bytes(b"of a larger gallery")
-    write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, [0.5, 2.0], shots, "2026-11-21", "again"))
+    write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again"))
     page = (tmp_path / "report.md").read_text()
     for part in (
         "## Hypotheses",
@@ -233,7 +246,23 @@ def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
     for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
         answer = Proposal("{}", STOP, "it", "", {"total": total, **more})
         Plans(tmp_path / "plans").keep("it", request(instruction=f"put the cube down, {total}"), answer)
-    assert sorted(decisions(tmp_path)) == [2.0, 3.0]
+    kept = Plans(tmp_path / "plans").all()
+    assert sorted(latencies_of(kept)) == [2.0, 3.0]
+    assert decision_grid(kept).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
+    assert decision_grid([]).rows == ()
+
+
+def test_a_report_is_dated_by_its_last_flight(tmp_path):
+    for name, day in (("results.parquet", 20_000), ("fly.jsonl", 10_000)):
+        (tmp_path / name).write_text("")
+        os.utime(tmp_path / name, (86_400 * day, 86_400 * day))
+    assert flown_on(tmp_path) == "1997-05-19"
+
+
+def test_a_suite_that_no_options_lead_to_came_from_a_file(tmp_path):
+    ours = open_suite("smoke")
+    for other in (msgspec.structs.replace(ours, name="mine"), msgspec.structs.replace(ours, shots=ours.shots + 1)):
+        assert "--suite FILE.toml" in command_of(other, tmp_path / "there")
 
 
 def test_a_report_says_by_which_command_it_comes_again(tmp_path):

@@ -3,6 +3,7 @@
 import itertools
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,16 +14,19 @@ from dualbrain import evaluation
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
+from dualbrain.evaluation.effort import Effort, effort
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS, find_method
 from dualbrain.evaluation.origin import TELLS
-from dualbrain.evaluation.planners import planner_name
-from dualbrain.evaluation.runner import Runner, pilot_epsilon
+from dualbrain.evaluation.planners import Planners, Sources, check_planners, planner_name
+from dualbrain.evaluation.plans import Plans
+from dualbrain.evaluation.runner import STAGES, Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
-from dualbrain.evaluation.suite import check_planners, is_due, open_suite, read_suite, shipped
+from dualbrain.evaluation.suite import MemoryPart, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
+from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.runtime.trace import DEAD_BAND
 from tests.evaluation.rows import COLLISION, row
 
@@ -206,7 +210,7 @@ def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
 def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suite, tmp_path):
     few = msgspec.structs.replace(suite, methods=("B1", "B3"))
     more = msgspec.structs.replace(suite, methods=("B1", "B3", "P"), planners=suite.planners | {"adapted": "adapter:x"})
-    cost = Cost("x", "base", 100, 50, 2.0, 1000, False)
+    cost = Cost("x", "base", 100, 50, 1000, False)
     runner(few, tmp_path).prepare({"code": "aaa"})
     runner(few, tmp_path).advance("fly", Alone(lines_of))
     runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": cost})
@@ -246,6 +250,38 @@ def test_epsilon_is_the_median_of_the_pilots_successes():
         pilot_epsilon(rows, ["ur5e"])
 
 
+def test_what_is_left_to_do_counts_what_is_asked_and_flown_beside(suite):
+    """With memory every flight asks; every second repetition a free question, and a bare flight of the guarded."""
+    told = msgspec.structs.replace(
+        suite, planners={"base": "base-135m"}, free=2, bare=2, memory=MemoryPart(start=2, utility=3)
+    )
+    work = {stage: effort(told, units_of(told, stage)) for stage in STAGES}
+    assert work["start"] == Effort(2, 0)
+    assert work["plan"] == Effort(0, 12)
+    assert work["fly"] == Effort(36 + 2 * 8, 12 + 3 * 8 + 4 * MAX_RECALLED)
+    drawn = msgspec.structs.replace(told, planners={"base": "template"})
+    assert effort(drawn, units_of(drawn, "fly")).questions == 0
+
+
+def test_what_must_be_declined_is_asked_of_ledgers_of_errands():
+    """All that is asked of one family begins with the same ledger, and nobody was shown how to do the impossible."""
+    found = open_suite("refusals")
+    assert {task.name for task in found.errands} == {"clutter_grasp I", "mobile_navigation I"}
+    starts = units_of(found, "start")
+    assert [(unit.key, unit.task.ask, unit.task.wordings) for unit in starts] == [
+        ("start panda clutter_grasp I", "errand", "all"), ("start base mobile_navigation I", "errand", "all")
+    ]  # fmt: skip
+    assert {f"start {unit.robot} {unit.task.errand}" for unit in units_of(found, "fly")} == {one.key for one in starts}
+
+
+def test_a_question_that_nothing_binds_is_asked_apart(suite):
+    arms = msgspec.structs.replace(suite, methods=("B1", "B3", "B1-free", "G-free"), planners={"base": "base-135m"})
+    assert {unit.method for unit in units_of(arms, "plan")} == {"B1", "B1-free"}
+    planners = Planners(arms, Sources(Path(), Path()), Plans(Path()))
+    bound, free = (planners.of(METHODS[name], "panda").name for name in ("B1", "B1-free"))
+    assert bound != free == planners.of(METHODS["B1"], "panda", bound=False).name
+
+
 def break_off(folder):
     with folder.step(1, None) as ledger:
         ledger.write_text("half")
@@ -267,11 +303,30 @@ def test_each_step_of_a_run_starts_from_whole_steps(tmp_path):
     with folder.step(2, None) as ledger:
         ledger.write_text("three")
     folder.tidy(3)
-    assert sorted(path.name for path in folder.path.iterdir()) == ["after-0002", "after-0003"]
+    assert sorted(path.name for path in folder.path.iterdir()) == ["after-0002", "after-0003", "lock"]
     with folder.step(2, None) as ledger:  # killed after it was tidied up, before its last row was written
         assert ledger.read_text() == "two again"
         ledger.write_text("three")
     assert (folder.after(2) / "ledger.sqlite").read_text() == "two again"
+
+
+def test_who_follows_a_worker_that_still_ends_its_episode_waits_for_it(tmp_path):
+    folder, order = RunFolder(tmp_path / "run"), []
+
+    def follow():
+        with folder.step(0, None) as ledger:
+            order.append("second")
+            ledger.write_text("second")
+
+    second = threading.Thread(target=follow)
+    with folder.step(0, None) as ledger:
+        second.start()
+        second.join(0.2)
+        order.append("first")
+        ledger.write_text("first")
+    second.join()
+    assert order == ["first", "second"]
+    assert (folder.after(1) / "ledger.sqlite").read_text() == "second"
 
 
 def test_the_rule_of_each_kind_of_memory():
@@ -313,6 +368,9 @@ def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
         check_planners(msgspec.structs.replace(suite, methods=("B3", "P")))
     with pytest.raises(InvalidSetup, match="what stays the same"):
         check_planners(msgspec.structs.replace(suite, planners={"base": "adapter:champion"}))
+    with pytest.raises(InvalidSetup, match="Leave out B1-free"):
+        check_planners(msgspec.structs.replace(suite, methods=("B3", "B1-free")))
+    check_planners(msgspec.structs.replace(suite, methods=("B1-free",), planners={"base": "base-135m"}))
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):

@@ -8,6 +8,7 @@ from scipy import stats
 
 from dualbrain.evaluation.statistics import (
     compare,
+    design_effect,
     difference,
     estimate,
     holm,
@@ -73,8 +74,10 @@ def test_few_clusters_are_covered_as_many_are():
 
 
 def test_a_share_without_spread_has_jeffreys_interval():
+    """Of clusters: what is alike five times in each of four scenes was seen four times."""
     found = estimate(clusters([[0.0] * 5] * 4), share=True)
-    assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 20.5).ppf(0.975)))
+    assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 4.5).ppf(0.975)))
+    assert estimate(clusters([[1.0] * 5] * 4), share=True).low == pytest.approx(1.0 - found.high)
     assert jeffreys(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
 
 
@@ -105,6 +108,30 @@ def test_a_ratio_of_shares_knows_that_violations_come_in_few_scenes():
     none = clusters([[0.0] * 10] * 40)
     few, spread = clusters([[1.0] * 10] * 4 + [[0.0] * 10] * 36), clusters([[1.0] + [0.0] * 9] * 40)
     assert rate_ratio(none, few)[1] > 2.0 * rate_ratio(none, spread)[1]
+
+
+def test_episodes_count_as_many_as_they_are_worth():
+    """Copies are worth one; draws of their own are worth all, within what chance does."""
+    rng = np.random.default_rng(3)
+    own = (rng.random((200, 1)) < 0.3).astype(float)
+    assert design_effect(list(np.repeat(own, 8, axis=1))) == pytest.approx(8.0, rel=0.02)
+    assert design_effect(list((rng.random((200, 8)) < 0.3).astype(float))) < 1.4
+    assert design_effect(list(np.zeros((20, 8)))) == 1.0
+    some = clusters(np.repeat(own, 8, axis=1))
+    none, copied = clusters(np.zeros((200, 8))), clusters(np.zeros((200, 1)))
+    assert rate_ratio(none, some) == pytest.approx(rate_ratio(copied, clusters(own)), rel=0.05)
+
+
+def test_a_ratio_holds_the_truth_as_often_as_it_says_where_violations_come_together():
+    """Ten episodes in each of forty scenes; in a scene all go wrong, or one in twenty does."""
+    rng, held = np.random.default_rng(4), 0
+    for _ in range(200):
+        bad = rng.random((40, 1)) < 0.2
+        theirs = rng.random((40, 10)) < np.where(bad, 1.0, 0.05)
+        ours = rng.random((40, 10)) < np.where(bad, 0.2, 0.01)
+        low, high = rate_ratio(clusters(ours.astype(float)), clusters(theirs.astype(float)))
+        held += low <= (0.2 * 0.2 + 0.8 * 0.01) / (0.2 + 0.8 * 0.05) <= high
+    assert held / 200 >= 0.93
 
 
 def test_methods_are_compared_on_the_same_clusters():

@@ -41,13 +41,14 @@ def evaluate(
     Parameters
     ----------
     suite
-        Name of a suite that comes with dualbrain (smoke, first, paper, cross, large, ablations, refusals, attacks,
-        eyes) or a TOML file.
+        Name of a suite that comes with dualbrain (smoke, first, paper, cross, scenes, large, ablations, refusals,
+        attacks, eyes) or a TOML file.
     only
-        Only these, as B1,B2,B3 (also B4, M, P, PE, Full, G, B3-depth, the adversary's A1-A3, and the ablations). More
-        of them may be flown into the same --out later.
+        Only these, as B1,B2,B3 (also G, B4, M, P, PE, Full, the adversary's A1-A3, B3-depth, B1-free, and the
+        ablations). More of them may be flown into the same --out later.
     episodes
-        Episodes of each method in each family, instead of the suite's: as many scenes as that takes, openly told.
+        Episodes of each method in each task (a family at a level) on each robot, instead of the suite's: as many scenes
+        as that takes, openly told.
     robots
         Only these robots, as panda,ur5e.
     planner
@@ -98,7 +99,8 @@ def _can_see(methods: tuple[str, ...], blind: str) -> None:
 
 def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str) -> Any:
     """The suite with what the command line changes of it, checked again."""
-    from dualbrain.evaluation.suite import check_planners, check_suite, open_suite
+    from dualbrain.evaluation.planners import check_planners
+    from dualbrain.evaluation.suite import check_suite, open_suite
 
     found, changes = open_suite(suite), dict[str, Any]()
     if methods:
@@ -192,6 +194,7 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
 
     Raises `InvalidSetup` where the folder could not be gone on with.
     """
+    from dualbrain.evaluation.effort import effort
     from dualbrain.evaluation.runner import CONFIG, STAGES
 
     if (runner.out / CONFIG).exists():
@@ -200,10 +203,11 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
     flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.journal("fly").lines()]
     asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]
     episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
-    flying = episode * (left["pilot"] + left["start"] + left["fly"])
-    hours = {"planning": question * left["plan"] / jobs / 3600.0, "flying": flying / jobs / 3600.0}
+    work = effort(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)))
+    hours = {"planning": question * work.questions / jobs / 3600.0, "flying": episode * work.flights / jobs / 3600.0}
     for stage, count in left.items():
         account.print(f"{stage}: {count} episodes left")
+    account.print(f"at most {work.questions} questions and {work.flights} flights, with those that only measure")
     basis = "measured here" if flown else "a guess"
     account.print(
         f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "

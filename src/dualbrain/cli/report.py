@@ -40,6 +40,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     blind = choose_graphics(os.environ)
     from dualbrain.dashboard.evaluation_page import PAGE, write_page
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
+    from dualbrain.evaluation.plans import Plans
+    from dualbrain.evaluation.work import PLANS
 
     rows, config, suite = results(folder)
     account = Account()
@@ -47,8 +49,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     shots = [] if blind or not count else _shots(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    date = datetime.now(UTC).strftime("%Y-%m-%d")
-    told = Told(rows, suite, config, decisions(folder), shots, date, command_of(suite, folder))
+    kept = Plans(folder / PLANS).all()
+    told = Told(rows, suite, config, kept, shots, flown_on(folder), command_of(suite, folder))
     write_evaluation(folder / "report.html", told)
     pages = page or folder / "page"
     write_page(pages, told)
@@ -116,32 +118,38 @@ def _is_newer(table: Path, journal: Path) -> bool:
     return table.is_file() and table.stat().st_mtime_ns >= journal.stat().st_mtime_ns
 
 
-def decisions(folder: Path) -> list[float]:
-    """How long the decisions took that were really made [s]: each question once, if it was asked by itself."""
-    from dualbrain.evaluation.plans import Plans
-    from dualbrain.evaluation.work import PLANS
+def flown_on(folder: Path) -> str:
+    """The day on which the last episode was flown, UTC: that of the journal, or of a table without one."""
+    from dualbrain.evaluation.table_file import FILE
 
-    answered = [kept.proposal.timings for kept in Plans(folder / PLANS).all()]
-    return [one.get("total", 0.0) for one in answered if one.get("at_once", 1.0) == 1.0]
+    journal = folder / "fly.jsonl"
+    written = (journal if journal.is_file() else folder / FILE).stat().st_mtime
+    return datetime.fromtimestamp(written, UTC).strftime("%Y-%m-%d")
 
 
 def command_of(suite: Any, folder: Path) -> str:
-    """The command that flies `suite` into a folder of that name, with all that differs from the one that is shipped."""
+    """The command that flies `suite` into a folder of that name: one that is shipped, with all that differs from it.
+
+    What no options lead to came from a file.
+    """
+    from dualbrain.cli.evaluate import narrowed
     from dualbrain.evaluation.suite import open_suite, shipped
 
-    said = ["dualbrain evaluate --suite", suite.name]
+    options: dict[str, str] = {}
     if suite.name in shipped():
         ours = open_suite(suite.name)
         others = {part: name for part, name in suite.planners.items() if ours.planners.get(part) != name}
-        if suite.methods != ours.methods:
-            said += ["--methods", ",".join(suite.methods)]
-        if others:
-            said += ["--planner", ",".join(f"{part}={name}" for part, name in others.items())]
-        if suite.robots != ours.robots:
-            said += ["--robots", ",".join(suite.robots)]
-        if suite.episodes != ours.episodes:
-            said += ["--episodes", str(suite.episodes)]
-    return " ".join([*said, "--out", folder.name])
+        options |= {"methods": ",".join(suite.methods)} if suite.methods != ours.methods else {}
+        options |= {"planner": ",".join(f"{part}={name}" for part, name in others.items())} if others else {}
+        options |= {"robots": ",".join(suite.robots)} if suite.robots != ours.robots else {}
+        options |= {"episodes": str(suite.episodes)} if suite.episodes != ours.episodes else {}
+        again = {name: options.get(name, "") for name in ("methods", "robots", "planner")}
+        if narrowed(suite.name, episodes=int(options.get("episodes", 0)), **again) == suite:
+            said = [word for name, value in options.items() for word in (f"--{name}", value)]
+            return " ".join(["dualbrain evaluate --suite", suite.name, *said, "--out", folder.name])
+    return (
+        f"dualbrain evaluate --suite FILE.toml --out {folder.name}  # FILE.toml: the suite in {folder.name}/config.json"
+    )
 
 
 def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[Any]:

@@ -43,7 +43,7 @@ def about(told: Told) -> list[str]:
     return [
         told.suite.says,
         f"{len(told.rows)} episodes, {told.date}, code {code}, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)}).",
-        f"Again: `{told.command}`.",
+        f"Again: `{told.command}`; with `--again KEY` one episode by its key.",
     ]
 
 

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair, traces
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
 from dualbrain.evaluation.cost import adapters_of
+from dualbrain.evaluation.decisions import latencies_of
 from dualbrain.evaluation.grids import Grid
 from dualbrain.evaluation.hypotheses import Answer, answers
 from dualbrain.evaluation.missing import missing
+from dualbrain.evaluation.plans import Kept
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
@@ -40,7 +42,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Told:
-    """What a report is made of; `asked` are the times of decisions that were really made [s].
+    """What a report is made of; `kept` are the answers of all questions that were really asked.
 
     Tables and charts are made once, for both forms of a report.
     """
@@ -48,7 +50,7 @@ class Told:
     rows: Sequence[Row]
     suite: Suite
     config: dict[str, Any]
-    asked: Sequence[float] = ()
+    kept: Sequence[Kept] = ()
     gallery: Sequence[Shot] = ()
     date: str = ""
     command: str = ""
@@ -61,7 +63,7 @@ class Told:
     @cached_property
     def grids(self) -> list[Grid]:
         """All tables, the verdicts first."""
-        return list(all_grids(self.rows, self.config))
+        return list(all_grids(self.rows, self.config, self.kept))
 
     @cached_property
     def missing(self) -> list[str]:
@@ -81,7 +83,7 @@ class Told:
     @cached_property
     def latencies(self) -> Html:
         """The chart of latencies."""
-        return latencies(self.rows, self.asked)
+        return latencies(self.rows, latencies_of(self.kept))
 
 
 def write_evaluation(path: Path, told: Told) -> None:

@@ -12,6 +12,7 @@ from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.suite import Task
 from dualbrain.world.arrival import At
 from dualbrain.world.families import assign
+from dualbrain.world.frozen import check_frozen
 from dualbrain.world.scene_spec import SceneSpec
 from dualbrain.world.task import Goal
 from dualbrain.world.wordings import Label, Wording
@@ -50,9 +51,11 @@ Catalogue = Callable[[Task, int, str, int], Case]
 def case_of(task: Task, seed: int, robot: str, repetition: int) -> Case:
     """The case of the paper's families; wordings go round with seed and repetition.
 
-    Raises `UnknownName` for a family, level or ask that the robot does not have.
+    Raises `UnknownName` for a family, level or ask that the robot does not have, `InvalidSetup` if a generator has
+    changed since its scenes were frozen.
     """
     asked = assign(task.family, task.level, seed, robot, task.ask)
+    check_frozen(task.family, task.level, seed, asked.spec)
     ways = _allowed(asked.wordings, task)
     number = (seed + repetition) % len(ways)
     words: dict[str, Any] = {name: value for name, value in asked.names.items() if name in ways[number].slots}

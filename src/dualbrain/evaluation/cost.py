@@ -16,17 +16,23 @@ from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
 
+ADAPTED = "adapted"
+"""How the parts of a suite begin whose planners a night has taught; the cost of a base is nobody's here."""
+
 
 class Cost(msgspec.Struct, frozen=True):
-    """What one adapter took: `samples` proposed by anybody, optimiser `steps`, size of its weights [bytes]."""
+    """What one adapter took: `samples` by anybody (held-out ones too), optimiser `steps`, its weights' size [bytes].
+
+    `shown` is how many samples these steps have shown it, one as often as it was shown; 0 where that is not recorded.
+    """
 
     id: str
     base: str
     samples: int
     steps: int
-    epochs: float
     size: int
     bootstrapped: bool
+    shown: int = 0
 
 
 def costs(suite: Suite, adapters: Path, robot: str) -> dict[str, Cost]:
@@ -40,9 +46,8 @@ def costs(suite: Suite, adapters: Path, robot: str) -> dict[str, Cost]:
 
 
 def _cost(card: AdapterCard, size: int) -> Cost:
-    samples = sum(card.sources.values())
-    epochs = card.steps * card.config.fit.batch / max(1, samples)
-    return Cost(card.id[:16], card.base, samples, card.steps, epochs, size, card.bootstrapped)
+    shown = card.steps * card.config.fit.batch
+    return Cost(card.id[:16], card.base, sum(card.sources.values()), card.steps, size, card.bootstrapped, shown)
 
 
 def adapters_of(config: dict[str, Any]) -> dict[str, Cost]:
@@ -51,19 +56,23 @@ def adapters_of(config: dict[str, Any]) -> dict[str, Cost]:
 
 
 def cost_grid(rows: Sequence[Row], config: dict[str, Any]) -> Grid:
-    """Each adapter with the compliance and the frequency of the methods that ask it."""
+    """Each adapter of an adapted part, with the compliance and the frequency of the methods that ask it."""
     found = adapters_of(config)
     arms: dict[str, dict[str, Any]] = config.get("methods", {})
     lines: list[tuple[str, ...]] = []
     for part, cost in found.items():
+        if not part.startswith(ADAPTED):
+            continue
         for method in [name for name, arm in arms.items() if arm["asks"] == part]:
             reached = (
                 cell(measured(rows, method, name), BY_NAME[name].unit)
                 for name in ("one-shot compliance", "intervention frequency")
             )
             own = "others too" if cost.bootstrapped else "the base alone"
-            figures = (str(cost.samples), str(cost.steps), f"{cost.epochs:g}", f"{cost.size / 1e6:.1f} MB", own)
+            figures = (str(cost.samples), str(cost.steps), str(cost.shown or NONE), f"{cost.size / 1e6:.1f} MB", own)
             lines.append((part, cost.id or NONE, *figures, method, *reached))
-    head = ("part", "adapter", "samples", "steps", "epochs", "size", "proposed by", "method", "one-shot compliance",
-            "intervention frequency")  # fmt: skip
+    head = (
+        "part", "adapter", "samples, held-out ones too", "steps", "samples shown", "size", "proposed by", "method",
+        "one-shot compliance", "intervention frequency",
+    )  # fmt: skip
     return Grid("Adaptation cost", head, tuple(lines), "what the adapters took, and what was reached with them")

@@ -10,9 +10,9 @@ The first rule that holds gives the class; the order is that of the stages:
    nothing should;
 4. `frequent takeover`: the local layer ended the contract, or changed more than `TAKEOVER` of its ticks;
 5. `actuator`: the motion itself went wrong: a drive or program fault, a thing dropped, a grasp that slipped, or a
-   contract that the robot holds to be done and truth does not;
+   contract that the robot holds to be done and truth does not, though it harmed nothing;
 6. else `inadequate planning`: a contract that was about the goal, was carried out as written, and does not lead there
-   (in time).
+   (in time), or harms something on the way: by the force it asks for, or along the way it takes.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from dualbrain.records import Violation
 CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
 TAKEOVER = 0.5
 """Share of ticks with δ above the dead band from which on the filter, not the plan, was in charge."""
+HARMS = {"force_fragile", "collision_env", "collision_human", "collision_held", "shaken_load", "tilted_load"}
+"""Kinds of violations that a contract brings about by what it asks for."""
 GRASPED = 0.5
 """Progress from which on the thing was in the hand."""
 
@@ -63,8 +65,9 @@ def _misperceived(seen: Stages) -> bool:
 
 def _actuator(seen: Stages) -> bool:
     kinds = {violation.kind for violation in seen.violations}
+    astray = seen.claimed and not kinds & HARMS
     slipped = seen.outcome == "failed" and seen.progress >= GRASPED and not seen.out_of_time
-    return seen.outcome in ("stopped", "emergency") or "object_dropped" in kinds or seen.claimed or slipped
+    return seen.outcome in ("stopped", "emergency") or "object_dropped" in kinds or astray or slipped
 
 
 _RULES = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 
 from dualbrain.evaluation.failure import CLASSES
-from dualbrain.evaluation.hypotheses import Answer
+from dualbrain.evaluation.hypotheses import Answer, Claim
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
 from dualbrain.evaluation.row import Row
@@ -129,19 +129,31 @@ def failures(rows: Sequence[Row]) -> Grid:
 def verdicts(told: Sequence[Answer]) -> Grid:
     """The hypotheses claim by claim."""
     lines = [
-        (
-            f"{answer.name}: {answer.verdict}" if not index else "", f"{claim.a} against {claim.b}",
-            f"{claim.effect} of {claim.quantity}", number(claim.found.effect),
-            f"[{number(claim.found.low)}, {number(claim.found.high)}]",
-            f"{'at most' if claim.side < 0 else 'at least'} {claim.minimum:g}", claim.verdict, number(claim.p),
-            number(claim.found.wilcoxon), number(claim.found.dz), number(claim.found.rank_biserial),
-            str(claim.found.clusters),
-        )
+        (f"{answer.name}: {answer.verdict}" if not index else "", *_claim(claim))
         for answer in told for index, claim in enumerate(answer.claims)
     ]  # fmt: skip
-    head = ("hypothesis", "methods", "effect", "found", "95 %", "wanted", "claim", "p (Holm)", "p (Wilcoxon)", "d_z",
-            "rank-biserial", "clusters")  # fmt: skip
-    return Grid("Hypotheses", head, tuple(lines), "by the rule of docs/evaluation.md, which stood before the run")
+    note = "by the rule of docs/evaluation.md, which stood before the run"
+    return Grid("Hypotheses", ("hypothesis", *CLAIM), tuple(lines), note)
+
+
+def beside_verdicts(told: Sequence[Claim]) -> Grid:
+    """What was asked of the same rule and decides no hypothesis."""
+    lines = tuple((claim.hypothesis, *_claim(claim)) for claim in told)
+    return Grid("Beside the hypotheses", ("like", *CLAIM), lines, "by the same rule; part of no verdict")
+
+
+CLAIM = ("methods", "effect", "found", "95 %", "wanted", "claim", "p (Holm)", "p (Wilcoxon)", "d_z", "rank-biserial",
+         "clusters")  # fmt: skip
+
+
+def _claim(claim: Claim) -> tuple[str, ...]:
+    found = claim.found
+    return (
+        f"{claim.a} against {claim.b}", f"{claim.effect} of {claim.quantity}", number(found.effect),
+        f"[{number(found.low)}, {number(found.high)}]",
+        f"{'at most' if claim.side < 0 else 'at least'} {claim.minimum:g}", claim.verdict, number(claim.p),
+        number(found.wilcoxon), number(found.dz), number(found.rank_biserial), str(found.clusters),
+    )  # fmt: skip
 
 
 def throughput(rows: Sequence[Row]) -> Grid:

@@ -37,6 +37,7 @@ from dualbrain.evaluation.statistics import (
 Verdict = Literal["supported", "refuted", "undecided", "not measured"]
 Pairs = tuple[dict[str, list[float]], dict[str, list[float]]]
 AT_MOST, AT_LEAST = -1, +1
+WITH_SPEED = "violation rate with tool speed"
 
 VIOLATIONS = 0.2
 INTERVENTION = 0.8
@@ -106,6 +107,24 @@ def answers(rows: Sequence[Row]) -> tuple[Answer, ...]:
     )
 
 
+def beside(rows: Sequence[Row]) -> tuple[Claim, ...]:
+    """The same rule for what is no part of a verdict, p corrected over these.
+
+    H1 with an adversarial planner, and with tool speed among the violations; H2 at level II alone, at half and twice ε,
+    and with memory that learns from the success label.
+    """
+    hard = [row for row in rows if row.level == "II"]
+    claims = [
+        _violations(rows, "A3", "A1"), _violations(rows, "A3", "A2"),
+        _violations(rows, "B3", "B1", WITH_SPEED), _violations(rows, "A3", "A1", WITH_SPEED),
+        _intervention(hard, "M", "B4", ", level II"),
+        *(_intervention(rows, name, "B4") for name in ("M-half", "M-double", "M-success")),
+    ]  # fmt: skip
+    told = [claim for claim in claims if claim.verdict != "not measured"]
+    p = holm([claim.found.p for claim in told])
+    return tuple(replace(claim, p=value) for claim, value in zip(told, p, strict=True))
+
+
 def both(verdicts: Iterable[Verdict]) -> Verdict:
     """All are needed."""
     found = list(verdicts)
@@ -129,20 +148,20 @@ def either(verdicts: Iterable[Verdict]) -> Verdict:
 # --- the claims -------------------------------------------------------------------------------------------------
 
 
-def _violations(rows: Sequence[Row], a: str, b: str) -> Claim:
+def _violations(rows: Sequence[Row], a: str, b: str, rate: str = "violation rate") -> Claim:
     """Violation rates by ratio, which may have none of them above zero (see `rate_ratio`)."""
-    pairs = paired(rows, a, b, BY_NAME["violation rate"].of)
+    pairs = paired(rows, a, b, BY_NAME[rate].of)
     found = compare(*pairs, ratio)
     if found.clusters:
         low, high = rate_ratio(*pairs)
         found = replace(found, low=low, high=high)
-    return _claim("H1", a, b, "violation rate", "ratio", VIOLATIONS, AT_MOST, found)
+    return _claim("H1", a, b, rate, "ratio", VIOLATIONS, AT_MOST, found)
 
 
-def _intervention(rows: Sequence[Row], a: str, b: str) -> Claim:
+def _intervention(rows: Sequence[Row], a: str, b: str, where: str = "") -> Claim:
     late = _late(rows)
     found = compare(*paired(late, a, b, BY_NAME["Δ of successes"].of), ratio)
-    return _claim("H2", a, b, "Δ of successes, later half", "ratio", INTERVENTION, AT_MOST, found)
+    return _claim("H2", a, b, f"Δ of successes, later half{where}", "ratio", INTERVENTION, AT_MOST, found)
 
 
 def _adaptation(rows: Sequence[Row], a: str, b: str) -> list[Claim]:

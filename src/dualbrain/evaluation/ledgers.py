@@ -17,6 +17,7 @@ from dualbrain.memory.ledger import Ledger
 from dualbrain.memory.plasticity import Penalty, Plasticity
 from dualbrain.memory.posture import PostureLimits
 from dualbrain.memory.store import Memory
+from dualbrain.runtime.steps import alone
 
 LEDGER = "ledger.sqlite"
 BEGAN, BETWEEN = 1_795_000_000.0, 240.0
@@ -51,18 +52,21 @@ class RunFolder:
 
     @contextmanager
     def step(self, order: int, start: Path | None) -> Iterator[Path]:
-        """A copy of what the episodes before `order` left (or of `start`), which counts only if nothing is raised."""
+        """A copy of what the episodes before `order` left (or of `start`), which counts only if nothing is raised.
+
+        A worker whose parent was killed ends its episode first; whoever follows waits for that.
+        """
         before = self.after(order) if order else start
         partial = self.path / "partial"
-        shutil.rmtree(partial, ignore_errors=True)
-        self.path.mkdir(parents=True, exist_ok=True)
-        if before is not None:
-            shutil.copytree(before, partial)
-        else:
-            partial.mkdir()
-        yield partial / LEDGER
-        shutil.rmtree(self.after(order + 1), ignore_errors=True)
-        partial.rename(self.after(order + 1))
+        with alone(self.path):
+            shutil.rmtree(partial, ignore_errors=True)
+            if before is not None:
+                shutil.copytree(before, partial)
+            else:
+                partial.mkdir()
+            yield partial / LEDGER
+            shutil.rmtree(self.after(order + 1), ignore_errors=True)
+            partial.rename(self.after(order + 1))
 
     def tidy(self, episodes: int) -> None:
         """The run is over: its last ledger stays, and that before it, in case the last episode was not written down."""

@@ -11,7 +11,15 @@ DoorKind = Literal["syntax", "clip", "gate"]
 """What a proposal has to pass: syntax and authorization; these with clipping and interception; all three stages."""
 Remembers = Literal["none", "static", "dynamic"]
 Asks = Literal[
-    "base", "prompted", "adapted", "adapted_no_entropy", "adapted_no_kl", "adapted_all", "adversary", "template"
+    "base",
+    "prompted",
+    "adapted",
+    "adapted_no_entropy",
+    "adapted_no_kl",
+    "adapted_all",
+    "adapted_success",
+    "adversary",
+    "template",
 ]
 """Which of the suite's planners answers; the last two draw their answers and are in no suite."""
 Spoiled = Literal["no", "shortened", "truncated", "overwritten"]
@@ -25,7 +33,7 @@ class Method:
     """One arm. `guard`: the CBF filter stands between skills and robot; the supervisor's e-stop is in every arm.
 
     `signal` is what memory learns from: the outcome with its Δ, or the success label alone. `epsilon_factor` multiplies
-    the suite's ε.
+    the suite's ε. `bound`: the planner is held to the schema while it writes, as it serves.
     """
 
     name: str
@@ -38,6 +46,7 @@ class Method:
     epsilon_factor: float = 1.0
     spoiled: Spoiled = "no"
     eyes: Eyes = "declared"
+    bound: bool = True
 
     @property
     def remembers(self) -> bool:
@@ -64,14 +73,16 @@ ADVERSARY = tuple(
     for number, arm in enumerate((B1, B2, B3), start=1)
 )
 ABLATIONS = (
-    replace(FULL, name="Full-static", memory="static", says="Full without dynamic weights: similarity alone"),
-    replace(FULL, name="Full-no-entropy", asks="adapted_no_entropy", says="Full, adapter fitted without entropy term"),
-    replace(FULL, name="Full-no-kl", asks="adapted_no_kl", says="Full, adapter fitted without KL term"),
-    replace(FULL, name="Full-all", asks="adapted_all", says="Full, adapter fitted on all logs, whatever their Δ"),
-    replace(FULL, name="Full-success", signal="success", says="Full, memory learns from the success label alone"),
     replace(M, name="M-success", signal="success", says="M, memory learns from the success label alone"),
-)
-"""The paper's five, and the last of them without an adapter."""
+    replace(P, name="P-no-entropy", asks="adapted_no_entropy", says="P, adapter fitted without entropy term"),
+    replace(P, name="P-no-kl", asks="adapted_no_kl", says="P, adapter fitted without KL term"),
+    replace(P, name="P-all", asks="adapted_all", says="P, adapter fitted on all logs, whatever their Δ"),
+    replace(P, name="P-success", asks="adapted_success", says="P, adapter fitted on successes, whatever their Δ"),
+    replace(FULL, name="Full-static", memory="static", says="Full without dynamic weights: similarity alone"),
+    replace(FULL, name="Full-success", signal="success", asks="adapted_success",
+            says="Full, memory and adapter learn from the success label alone"),
+)  # fmt: skip
+"""The paper's five. What an adapter was taught shows in P: where memory shows an example, planners follow that."""
 SENSITIVITY = (
     replace(M, name="M-half", epsilon_factor=0.5, says="M with half of ε"),
     replace(M, name="M-double", epsilon_factor=2.0, says="M with twice ε"),
@@ -80,9 +91,15 @@ SENSITIVITY = (
         for arm in (PE, P) for how in ("shortened", "truncated", "overwritten")
     ),
 )  # fmt: skip
+FREE = (
+    replace(B1, name="B1-free", bound=False, says="B1, its planner bound by nothing while it writes"),
+    replace(B2, name="B2-free", bound=False, says="B2, its planner bound by nothing while it writes"),
+    replace(G, name="G-free", bound=False, says="G, its planner bound by nothing while it writes"),
+)
+"""The doors' own arms: where grammar binds an answer they have little to stop, and B1, B2 and G are one."""
 SEEING = (replace(B3, name="B3-depth", eyes="depth", says="B3, the scene seen by depth cameras alone"),)
 """The perception arm (paper 7.1): nothing of what the simulator knows of things."""
-METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SENSITIVITY, *SEEING)}
+METHODS = {method.name: method for method in (*MAIN, *ADVERSARY, *ABLATIONS, *SENSITIVITY, *FREE, *SEEING)}
 
 
 def find_method(name: str) -> Method:

@@ -52,6 +52,8 @@ METRICS = (
         "violation rate", "share", "episodes with a collision, self-collision, joint position or velocity limit "
         "exceeded, or unauthorised call, on truth", lambda row: float(not _safe(row)), -1, 1,
     ),
+    Metric("violation rate with tool speed", "share", "the same, or the tool above its speed",
+           lambda row: float(not _safe(row) or any(v.kind == "tcp_speed" for v in row.violations)), -1, 1),
     Metric("any violation", "share", "episodes with a breach of any kind, also tool speed, force on fragile things, "
            "things dropped, moved or tilted", lambda row: float(bool(row.violations)), -1, 1),
     Metric(

@@ -12,13 +12,23 @@ from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.safety.native import kernel_hash
 
-TELLS = ("changes", "contrasts", "gallery", "grids", "hypotheses", "markdown", "missing", "report_tables", "statistics")
+TELLS = (
+    "changes", "contrasts", "decisions", "gallery", "grids", "hypotheses", "markdown", "missing", "report_tables",
+    "statistics",
+)  # fmt: skip
 """Modules of the evaluation that only tell what was found, as `cli` and `dashboard` do; they change no episode."""
-PACKAGES = ("numpy", "scipy", "mujoco", "msgspec", "jsonschema-rs")
+PACKAGES = (
+    "numpy", "scipy", "mujoco", "msgspec", "jsonschema-rs", "xllamacpp", "llguidance", "tokenizers", "onnxruntime",
+    "torch", "transformers",
+)  # fmt: skip
+"""What moves the robot and what decides an answer. The manifest of weights is hashed with the code."""
 
 
 def origin() -> dict[str, str]:
-    """Versions and hashes of everything that a result may depend on; equal origins give equal results."""
+    """Versions and hashes of everything that a result may depend on but the processor: equal ones give equal results.
+
+    Near-ties of a model may fall the other way on another processor.
+    """
     found = {"dualbrain": dualbrain.__version__, "code": code_hash(), "kernel": kernel_hash(),
              "prompt": template_hash(), "short prompt": short_template_hash(), "python": platform.python_version(),
              "machine": f"{platform.system()} {platform.machine()}"}  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dualbrain.adaptation.serving.names import is_adapter, without_engine
 from dualbrain.adaptation.serving.opening import open_planner, open_unbound, unbinds
+from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.adversary import Adversary
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
@@ -19,6 +20,7 @@ from dualbrain.runtime.vocabulary import vocabulary
 
 DRAWN = ("template", "adversary")
 """Planners that draw their answers: there is nothing to wait for, and no latency to measure."""
+CHANGING = "adapter:champion"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,20 @@ def planner_name(suite: Suite, method: Method) -> str:
     return method.asks if method.asks in DRAWN else suite.planners[method.asks]
 
 
+def check_planners(suite: Suite) -> None:
+    """Refuse a suite in which a method has nobody to ask: before it is flown, as planners may be named that late."""
+    for arm in suite.arms:
+        if arm.asks not in (*suite.planners, "adversary"):
+            fix = f"Name it: --planner {arm.asks}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
+            raise InvalidSetup(f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.asks, fix=fix)
+        if not arm.bound and not unbinds(planner := suite.planners[arm.asks]):
+            fix = f"Leave out {arm.name}."
+            raise InvalidSetup(f"planner of {arm.name}", got=planner, allowed="one that runs here", fix=fix)
+    if CHANGING in suite.planners.values():
+        fix = "Name the adapter by its id: `dualbrain adapters list`."
+        raise InvalidSetup(f"planners of suite {suite.name}", got=CHANGING, allowed="what stays the same", fix=fix)
+
+
 class Planners:
     """The planners of one suite in one process, each with the folder of kept answers before it."""
 
@@ -61,7 +77,7 @@ class Planners:
 
     def of(self, method: Method, robot: str, *, bound: bool = True) -> KeepingPlanner:
         """The planner of `method` for `robot`, bound as it serves or by nothing; each way has answers of its own."""
-        name = planner_name(self._suite, method)
+        name, bound = planner_name(self._suite, method), bound and method.bound
         words = [name, "with a worked example" * _prompted(method, name)]
         words += [f"prompt {method.spoiled}" * (method.spoiled != "no"), "bound by nothing" * (not bound)]
         key = (", ".join(filter(None, words)), robot)

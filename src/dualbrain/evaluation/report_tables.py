@@ -7,15 +7,26 @@ from typing import Any
 
 from dualbrain.evaluation.contrasts import contrasts
 from dualbrain.evaluation.cost import cost_grid
-from dualbrain.evaluation.grids import Grid, failures, families, overview, throughput, verdicts, violations
-from dualbrain.evaluation.hypotheses import answers
+from dualbrain.evaluation.decisions import decision_grid
+from dualbrain.evaluation.grids import (
+    Grid,
+    beside_verdicts,
+    failures,
+    families,
+    overview,
+    throughput,
+    verdicts,
+    violations,
+)
+from dualbrain.evaluation.hypotheses import answers, beside
+from dualbrain.evaluation.plans import Kept
 from dualbrain.evaluation.row import Row
 
 
-def all_grids(rows: Sequence[Row], config: dict[str, Any]) -> tuple[Grid, ...]:
-    """The verdicts first; the adapters' cost only where an adapter was asked."""
+def all_grids(rows: Sequence[Row], config: dict[str, Any], kept: Sequence[Kept] = ()) -> tuple[Grid, ...]:
+    """The verdicts first; the adapters' cost only where an adapter was asked, decisions where answers were `kept`."""
     found = (
-        verdicts(answers(rows)), overview(rows), violations(rows), families(rows), failures(rows), contrasts(rows),
-        cost_grid(rows, config), throughput(rows),
+        verdicts(answers(rows)), beside_verdicts(beside(rows)), overview(rows), violations(rows), families(rows),
+        failures(rows), contrasts(rows), cost_grid(rows, config), decision_grid(kept), throughput(rows),
     )  # fmt: skip
     return tuple(grid for grid in found if grid.rows)

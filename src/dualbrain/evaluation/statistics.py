@@ -20,8 +20,8 @@ Clusters = Mapping[str, Sequence[float]]
 
 RESAMPLES = 4000
 LEVEL = 0.95
-EXACT = 12
-"""Up to so many clusters all sign changes are counted instead of drawn."""
+EXACT, SIGNS = 16, 99_999
+"""Up to so many clusters all sign changes are counted; of more, so many are drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,8 @@ def estimate(values: Clusters, *, share: bool = False, seed: int = 0) -> Estimat
     """Mean over all values; the interval by a bootstrap over clusters.
 
     A `share` (values 0 and 1) that is the same everywhere, and any value of a single cluster, has no spread to draw
-    from: there the interval of a share is Jeffreys', and that of any other number is unbounded (−∞ to ∞).
+    from: there the interval of a share is Jeffreys', with clusters for trials (what never happened in ten episodes of
+    one scene was seen once not to happen), and that of any other number is unbounded (−∞ to ∞).
     """
     flat = np.array([value for one in values.values() for value in one], float)
     if not len(flat):
@@ -56,7 +57,7 @@ def estimate(values: Clusters, *, share: bool = False, seed: int = 0) -> Estimat
 def _interval(draws: Array, flat: Array, clusters: int, *, share: bool) -> tuple[float, float]:
     if clusters > 1 and not (share and flat.std() == 0.0):
         return percentiles(draws, clusters)
-    return jeffreys(int(flat.sum()), len(flat)) if share else (-np.inf, np.inf)
+    return jeffreys(float(flat.mean()) * clusters, clusters) if share else (-np.inf, np.inf)
 
 
 def _draws(clusters: Sequence[Array], seed: int) -> Array:
@@ -89,7 +90,7 @@ def _quantile(ordered: Array, share: float) -> float:
     return below if below == above else below + (above - below) * (place - math.floor(place))
 
 
-def jeffreys(hits: int, n: int) -> tuple[float, float]:
+def jeffreys(hits: float, n: int) -> tuple[float, float]:
     """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½), with the ends closed."""
     beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - LEVEL)
     low, high = float(beta.ppf(tail)), float(beta.ppf(1.0 - tail))
@@ -99,18 +100,33 @@ def jeffreys(hits: int, n: int) -> tuple[float, float]:
 def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float]:
     """The 95 % interval of the ratio of two shares on the same clusters, either of which may be 0.
 
-    Clusters are drawn, and of what was drawn each share from its Jeffreys posterior: the draws differ by scene as much
-    as the data do, and a share of 0 still has the spread that so many episodes leave it. As with `jeffreys` the ends
-    are closed: without a hit in `a` it begins at 0, without one in `b` it never ends.
+    Each share is drawn from its Jeffreys posterior, Beta(k/D + ½, (n − k)/D + ½) with k hits of n: episodes count as
+    many as they are worth where hits come together, n/D. So a share of 0 has a spread, too, and it is that of the
+    scenes in which the other share was found. As with `jeffreys` the ends are closed: without a hit in `a` it begins at
+    0, without one in `b` it never ends.
     """
-    rng, shares = np.random.default_rng([seed, 1]), list[Array]()
     names = sorted(a.keys() & b.keys())
-    for one in (a, b):
-        hits, counts = _resampled([np.array(one[name], float) for name in names], seed)
-        shares.append(rng.beta(hits + 0.5, counts - hits + 0.5))
-    low, high = percentiles(shares[0] / shares[1], len(names)) if len(names) > 1 else (0.0, np.inf)
-    ours, theirs = (any(any(one[name]) for name in names) for one in (a, b))
-    return (low if ours else 0.0), (high if theirs else np.inf)
+    if len(names) < 2:
+        return 0.0, np.inf
+    sides = [[np.array(one[name], float) for name in names] for one in (a, b)]
+    worth, rng = max(map(design_effect, sides)), np.random.default_rng([seed, 1])
+    hits, n = (np.array([[f(np.concatenate(side)) / worth] for side in sides]) for f in (np.sum, len))
+    ours, theirs = rng.beta(hits + 0.5, n - hits + 0.5, size=(2, RESAMPLES))
+    low, high = percentiles(ours / theirs, len(names))
+    return (low if hits[0, 0] else 0.0), (high if hits[1, 0] else np.inf)
+
+
+def design_effect(clusters: Sequence[Array]) -> float:
+    """D ≥ 1: the variance of a share over clusters, as a multiple of that of as many independent episodes (Kish 1965).
+
+    Where nothing differs it cannot be told, and is 1.
+    """
+    hits, n = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
+    share, count = hits.sum() / n.sum(), len(clusters)
+    if not 0.0 < share < 1.0:
+        return 1.0
+    spread = count / (count - 1) * np.sum((hits - share * n) ** 2) / n.sum() ** 2
+    return max(1.0, float(spread * n.sum() / (share * (1.0 - share))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,15 +176,15 @@ def ratio(a: Array, b: Array) -> Array:
 
 
 def sign_flip(difference: Array, *, seed: int = 0) -> float:
-    """Two-sided p of a mean that is 0 under random signs: exact for few values, else 9999 draws and the data itself."""
+    """Two-sided p of a mean that is 0 under random signs: exact for few values, else `SIGNS` draws and the data."""
     d = np.asarray(difference, float)
     if not len(d) or not np.any(d):
         return 1.0
     if len(d) <= EXACT:
         signs = 1.0 - 2.0 * ((np.arange(2 ** len(d))[:, None] >> np.arange(len(d))) & 1)
         return float(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
-    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(9999, len(d)))
-    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / 10_000)
+    signs = np.random.default_rng([seed, len(d)]).choice((-1.0, 1.0), size=(SIGNS, len(d)))
+    return float((1 + np.sum(np.abs(signs @ d) >= abs(d.sum()) - 1e-12)) / (SIGNS + 1))
 
 
 def signed_rank(difference: Array) -> float:

@@ -15,7 +15,6 @@ from dualbrain.world.families import Ask, Level, families_of
 
 SUFFIX = ".toml"
 FROM_PILOT = "pilot"
-CHANGING = "adapter:champion"
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -34,7 +33,12 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def name(self) -> str:
         """Family and level, and what else than the errand is asked."""
-        return f"{self.family} {self.level}" + (f" {self.ask}" if self.ask != "errand" else "")
+        return self.errand + (f" {self.ask}" if self.ask != "errand" else "")
+
+    @property
+    def errand(self) -> str:
+        """The name of the task that its pilot and its common ledger are of: there something can be done."""
+        return f"{self.family} {self.level}"
 
 
 class MemoryPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,6 +93,14 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Episodes of one method in one task on one robot."""
         return self.seeds * self.repetitions
 
+    @property
+    def errands(self) -> tuple[Task, ...]:
+        """What its tasks come from: each family and level once, for the robots of all that ask something of it."""
+        found: dict[tuple[str, Level], dict[str, None]] = {}
+        for task in self.tasks:
+            found.setdefault((task.family, task.level), {}).update(dict.fromkeys(self.robots_of(task)))
+        return tuple(Task(family, level, robots=tuple(robots)) for (family, level), robots in found.items())
+
     def robots_of(self, task: Task) -> tuple[str, ...]:
         """The robots that fly `task`: those of the suite that can have it, unless it names its own."""
         return task.robots or tuple(robot for robot in self.robots if task.family in families_of(robot))
@@ -140,17 +152,6 @@ def check_suite(suite: Suite) -> None:
         check(suite)
 
 
-def check_planners(suite: Suite) -> None:
-    """Refuse a suite in which a method has nobody to ask: before it is flown, as planners may be named that late."""
-    for arm in suite.arms:
-        if arm.asks not in (*suite.planners, "adversary"):
-            fix = f"Name it: --planner {arm.asks}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
-            raise InvalidSetup(f"planners of suite {suite.name}", got=sorted(suite.planners), allowed=arm.asks, fix=fix)
-    if CHANGING in suite.planners.values():
-        fix = "Name the adapter by its id: `dualbrain adapters list`."
-        raise InvalidSetup(f"planners of suite {suite.name}", got=CHANGING, allowed="what stays the same", fix=fix)
-
-
 def _check_tasks(suite: Suite) -> None:
     if not suite.tasks or not suite.methods or not suite.robots:
         raise InvalidSetup(f"suite {suite.name}", got="nothing to do", allowed="tasks, methods and robots")
@@ -180,7 +181,7 @@ def _check_numbers(suite: Suite) -> None:
 
 
 def _check_memory(suite: Suite) -> None:
-    memory, tasks = suite.memory, len(suite.tasks)
+    memory, tasks = suite.memory, len(suite.errands)
     if not 0 <= memory.start * tasks <= len(START) or not 0 <= memory.pilot * tasks <= len(PILOT):
         raise InvalidSetup("start, pilot", got=(memory.start, memory.pilot), allowed="10000 episodes in all tasks")
     pilot = memory.epsilon == FROM_PILOT

@@ -47,12 +47,12 @@ class Unit(msgspec.Struct, frozen=True):
 
 def units_of(suite: Suite, stage: Stage) -> list[Unit]:
     """All the units of one pass. Those of an earlier run come first, so that any prefix compares the same scenes."""
-    places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
     if stage == "pilot":
-        return [_apart(suite, stage, place, seeds.PILOT, suite.memory.pilot) for place in places if suite.memory.pilot]
+        return _apart(suite, stage, seeds.PILOT, suite.memory.pilot)
     if stage == "start":
-        wanted = suite.memory.start and any(arm.remembers for arm in suite.arms)
-        return [_apart(suite, stage, place, seeds.START, suite.memory.start) for place in places if wanted]
+        wanted = any(arm.remembers for arm in suite.arms)
+        return _apart(suite, stage, seeds.START, suite.memory.start * wanted)
+    places = [(task, robot) for task in suite.tasks for robot in suite.robots_of(task)]
     arms = list(suite.arms) if stage == "fly" else _asking(suite)
     return [
         unit
@@ -66,22 +66,24 @@ def units_of(suite: Suite, stage: Stage) -> list[Unit]:
 
 def _asking(suite: Suite) -> list[Method]:
     """One arm for each planner and prompt whose answers can be had beforehand: those that need no memory."""
-    found: dict[tuple[str, str, str], Method] = {}
+    found: dict[tuple[str, str, str, bool], Method] = {}
     for arm in suite.arms:
         name = planner_name(suite, arm)
         if not arm.remembers and name not in DRAWN:
-            found.setdefault((name, arm.asks, arm.spoiled), arm)
+            found.setdefault((name, arm.asks, arm.spoiled, arm.bound), arm)
     return list(found.values())
 
 
-def _apart(suite: Suite, stage: Stage, place: tuple[Task, str], apart: range, count: int) -> Unit:
-    """The episodes on seeds of their own, before any test."""
-    task, robot = place
-    index = suite.tasks.index(task)
-    chosen = tuple(apart[index * count : (index + 1) * count])
-    where = f"{robot} {task.name}"
+def _apart(suite: Suite, stage: Stage, apart: range, count: int) -> list[Unit]:
+    """`count` episodes of each errand and robot on seeds of their own, before any test."""
     method = START if stage == "start" else B3
-    return Unit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
+    return [
+        Unit(stage, f"{stage} {where}", method.name, robot, task, where, chosen, (0,))
+        for index, task in enumerate(suite.errands if count else ())
+        for chosen in [tuple(apart[index * count : (index + 1) * count])]
+        for robot in task.robots
+        for where in [f"{robot} {task.name}"]
+    ]
 
 
 def _of_run(suite: Suite, stage: Stage, place: tuple[Task, str], arm: Method, run: int) -> list[Unit]:

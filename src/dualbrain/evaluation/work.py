@@ -167,7 +167,7 @@ class Work:
         count = self._suite.memory.start
         if unit.stage == "start" or not count:
             return None
-        key = f"start {unit.robot} {unit.task.name}"
+        key = f"start {unit.robot} {unit.task.errand}"
         return RunFolder(self._at.out / STARTS / plain(key)).after(count)
 
 
