@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from dualbrain import evaluation
+from dualbrain.adaptation.lessons.split import SEEDS
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
@@ -22,7 +23,7 @@ from dualbrain.evaluation.origin import TELLS
 from dualbrain.evaluation.planners import Planners, Sources, check_planners, planner_name
 from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.runner import STAGES, Runner, pilot_epsilon
-from dualbrain.evaluation.seeds import PILOT, START, TEST, TRAINING
+from dualbrain.evaluation.seeds import PILOT, START, TEST
 from dualbrain.evaluation.suite import MemoryPart, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
@@ -107,7 +108,7 @@ def test_any_prefix_compares_the_same_runs(suite):
 
 
 def test_ranges_of_seeds_are_disjoint(suite):
-    for one, other in itertools.combinations((PILOT, START, TRAINING, TEST), 2):
+    for one, other in itertools.combinations((PILOT, START, TEST, *SEEDS.values()), 2):
         assert not set(one) & set(other)
     assert {seed for unit in units_of(suite, "start") for seed in unit.seeds} <= set(START)
 

@@ -9,7 +9,5 @@ PILOT = range(10_000, 20_000)
 """ε is set on these, before any test."""
 START = range(20_000, 30_000)
 """The ledger from which all arms with memory start."""
-TRAINING = range(30_000, 40_000)
-"""What an adapter learns from."""
 TEST = range(40_000, 50_000)
 """What is reported."""
