@@ -160,6 +160,16 @@ def test_a_run_that_was_killed_between_episodes_ends_in_the_same_ledger(tmp_path
     assert [line["memories"] for line in whole] == [2, 3]
 
 
+def test_a_run_that_is_asked_what_must_be_declined_begins_with_the_errands(tmp_path):
+    suite = msgspec.structs.replace(read_suite(SUITE, "t"), planning_time=0.1, seeds=1, runs=1, repetitions=1)
+    suite = msgspec.structs.replace(suite, tasks=(Task("clutter_grasp", ask="hazardous"),))
+    worker = Declining(Workplace(suite, tmp_path, Sources(cache(), tmp_path / "adapters"), standing, {"panda": 0.003}))
+    for unit in units_of(suite, "start"):
+        assert [line["label"] for line in worker(unit)] == ["possible"] * suite.memory.start
+    (run,) = (unit for unit in units_of(suite, "fly") if unit.method == "M")
+    assert [(line["label"], line["memories"]) for line in worker(run)] == [("hazardous", suite.memory.start + 1)]
+
+
 def test_an_answer_that_nothing_bound_is_judged_and_moves_nothing():
     alone = flown("B3", contract(hold(0.5)))
     for text, stage, compliant in ((contract(hold(9.0)), "", True), (contract(hold(0.01)), "envelope", False),
