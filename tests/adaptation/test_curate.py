@@ -14,6 +14,7 @@ from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.duplicates import merge
 from dualbrain.adaptation.scene_groups import held_out, scene_groups
 from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import InvalidSetup
 from dualbrain.memory.curation import forget, quarantine, release
@@ -52,6 +53,36 @@ def test_each_reason_alone_excludes(tmp_path, reason, change):
         found = curate(ledger, REGISTRY, ALL)
     assert found.left_out == {reason: ("bad",)}
     assert {row.memory for row in found.train} == {GOOD, "also good"}
+
+
+def narrowed(most):
+    """The vocabulary of a site where nothing grips harder than `most` [N]."""
+    skills = [
+        msgspec.structs.replace(
+            skill,
+            parameters=tuple(
+                msgspec.structs.replace(one, upper=most) if one.name == "force" else one for one in skill.parameters
+            ),
+        )
+        for skill in REGISTRY.skills
+    ]
+    return Registry(REGISTRY.robot, tuple(skills))
+
+
+def test_what_was_done_at_a_site_teaches_in_the_robots_own_words_if_the_gate_there_accepts_it(tmp_path):
+    site = narrowed(20.0)
+    there = episode("there", registry=site.hash, told=summary(number=3), words="take it away")
+    hard = episode("hard", plan=pick(force=21.0), told=summary(number=4), words="grip it")
+    with remember(tmp_path, [*several(2), there, hard]) as ledger:
+        without, found = curate(ledger, REGISTRY, ALL), curate(ledger, REGISTRY, ALL, site=site)
+        with pytest.raises(InvalidSetup, match="vocabulary of the site"):
+            curate(ledger, site, ALL, site=REGISTRY)
+    assert without.left_out == {"of another registry": ("there",)}
+    assert found.left_out == {"refused by the gate: envelope": ("hard",)}
+    rows = {row.memory: row for row in found.train}
+    assert rows.keys() == {"e0", "e1", "there"}
+    assert all(site.hash not in json.dumps([row.prompt, row.completion]) for row in rows.values())
+    assert [rows[name] for name in ("e0", "e1")] == [row for row in without.train if row.memory in ("e0", "e1")]
 
 
 def test_at_the_bounds_it_is_in(tmp_path):

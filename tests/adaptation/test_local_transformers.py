@@ -4,6 +4,7 @@
 import json
 
 import jsonschema_rs
+import msgspec
 import pytest
 
 for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
@@ -72,6 +73,16 @@ def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monke
     for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
         with pytest.raises(InvalidSetup):
             planner(home).propose(request(**wrong))
+
+
+def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_answered(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": "narrower"}
+    name = f"transformers:adapter:{home / 'fit'}"
+    opened = open_planner(name, home / "cache", **told, narrowed={"narrower": REGISTRY.hash})
+    asked = msgspec.structs.replace(ASKED, registry_hash="narrower")
+    assert opened.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
+    with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
+        open_planner(name, home / "cache", **told)
 
 
 def test_it_is_opened_by_name(home):

@@ -168,6 +168,17 @@ def test_every_request_names_every_adapter_and_uses_nothing_that_was_read_before
         assert ("grammar" in asked) is (asking is SHORT)
 
 
+def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_served(place):
+    """The gate stands before the robot and refuses what is outside."""
+    planner = opened(place, f"adapter:{ids(place)[0]}", registry="narrower", narrowed={"narrower": REGISTRY.hash})
+    try:
+        assert '"registry":"narrower"' in planner.propose(request(registry_hash="narrower")).text
+        with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
+            planner.propose(request(registry_hash="00000000"))
+    finally:
+        planner.close()
+
+
 @pytest.mark.parametrize("wrong", [{"robot": "ur5e"}, {"registry": "00000000"}])
 def test_another_robot_or_vocabulary_is_refused_before_anything_starts(place, wrong):
     with pytest.raises(InvalidSetup, match="of adapter"):

@@ -18,6 +18,7 @@ from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.runtime.idleness import Machine
 from dualbrain.runtime.low_load import Pace
+from dualbrain.runtime.vocabulary import vocabulary_at
 from tests.adaptation.episodes import CONFIG, episode, remember, several, summary
 
 
@@ -32,13 +33,32 @@ def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
     with LedgerReader(ledger) as opened:
         head = opened.head()
     before = {path.name for path in tmp_path.iterdir()}
-    code, out, err = tell("adapt", "--dry-run", "--export", "set")
+    code, out, err = tell("adapt", "--dry-run")
     assert (code, out) == (Exit.SUCCESS, "")
     assert "left out: 1 outcome failed" in err
     assert "of 9 memories" in err
     assert {path.name for path in tmp_path.iterdir()} == before
     with LedgerReader(ledger) as opened:
         assert opened.head() == head
+
+
+def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
+    code, out, err = tell("adapt", "--dry-run", "--export", "set")
+    assert (code, out) == (Exit.USAGE, "")
+    assert "a dry run writes nothing" in err
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
+    site = tmp_path / "lab.toml"
+    site.write_text("[robot]\ntool_speed = 0.25\n")
+    there = vocabulary_at("panda", site)
+    remember(tmp_path, [*several(2), episode("there", registry=there.hash, told=summary(number=9))]).close()
+    for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
+        code, out, _ = tell("adapt", "--dry-run", "--json", *words)
+        assert (code, json.loads(out)["left_out"]) == (Exit.SUCCESS, left)
+    assert "--site lab.toml" in " ".join(when_idle.command("panda", "b", None, site.relative_to(tmp_path), None,
+                                                           tmp_path, json=False))  # fmt: skip
 
 
 def test_json_names_every_memory_once(tell, ledger):
@@ -115,7 +135,7 @@ def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp
 
 def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
-    told = {"robot": "panda", "base": "smollm2-135m-instruct", "config": None, "json": False}
+    told = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
     code = when_idle.adapt_when_idle(
         ledger=tmp_path / "none.sqlite", out=tmp_path / "out", pace=Pace(look=0.05, calm=0.0), **told
     )

@@ -11,6 +11,7 @@ import msgspec
 
 from dualbrain.adaptation.candidate import Candidate
 from dualbrain.contracts.canonical_contract import canonical_contract
+from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Rejected
@@ -42,20 +43,26 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def select(
-    found: Sequence[Candidate], registry: Registry, rules: CleanRules, declines: Collection[str] = ()
+    found: Sequence[Candidate],
+    registry: Registry,
+    rules: CleanRules,
+    declines: Collection[str] = (),
+    site: Registry | None = None,
 ) -> tuple[list[Candidate], dict[str, list[str]]]:
     """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
 
     Every contract is judged again by today's gate, so that what is taught is what is accepted now. The verdict r is the
     robot's own; simulator truth is not in the ledger. A decline has no r: those that are named in `declines` are let in
-    on the word of whoever asked.
+    on the word of whoever asked. With `site`, which only narrows `registry`, episodes of either may teach what its gate
+    accepts.
     """
-    gate = Gate(registry, {PRINCIPAL: frozenset(registry.by_name)})
+    here = site or registry
+    gate, known = Gate(here, {PRINCIPAL: frozenset(here.by_name)}), (registry.hash, here.hash)
     left_out = defaultdict[str, list[str]](list)
     good: list[Candidate] = []
     for one in found:
         proved = not rules.physical or (one.memo.kind == "declined" and one.memo.id in declines)
-        if reason := _why_not(one, registry, rules, proved=proved) or _refused(one, registry, gate):
+        if reason := _why_not(one, registry.robot, known, rules, proved=proved) or _refused(one, here, gate):
             left_out[reason].append(one.memo.id)
         else:
             good.append(one)
@@ -68,17 +75,17 @@ def select(
     return [one for one in good if one.duration <= limits[one.family]], dict(left_out)
 
 
-def _why_not(one: Candidate, registry: Registry, rules: CleanRules, *, proved: bool) -> str:
+def _why_not(one: Candidate, robot: str, known: Collection[str], rules: CleanRules, *, proved: bool) -> str:
     """The first rule that excludes `one` by what the ledger says of it; "" if none does.
 
     What needs no proof (`proved`) needs no success and no Δ: a right decline moves nothing.
     """
     memo = one.memo
     checks = (
-        (memo.robot == registry.robot, "of another robot"),
+        (memo.robot == robot, "of another robot"),
         (memo.status == "active" or (not rules.physical and memo.status == "candidate"), f"{memo.status} in memory"),
         (proved or memo.kind == "succeeded", f"outcome {memo.kind}"),
-        (memo.registry == registry.hash, "of another registry"),
+        (memo.registry in known, "of another registry"),
         (one.filtered, "flown without the safety filter"),
         (bool(one.instruction.strip()), "without an instruction"),
         (proved or _quiet(memo.Delta, rules.epsilon), f"Δ above {rules.epsilon:g}"),
@@ -96,9 +103,16 @@ def _refused(one: Candidate, registry: Registry, gate: Gate) -> str:
     """Why the gate would refuse the contract today; "" if it would not."""
     if one.contract is None or not all(action.skill in registry.by_name for action in one.contract.action_sequence):
         return "without a contract of this vocabulary"
-    text = canonical_contract(one.contract, registry).encode()
+    text = canonical_contract(as_of(one.contract, registry), registry).encode()
     verdict = gate.check(text, names=one.names, principal=PRINCIPAL, now=0.0)
     return f"refused by the gate: {verdict.stage}" if isinstance(verdict, Rejected) else ""
+
+
+def as_of(contract: Contract, registry: Registry) -> Contract:
+    """`contract` as it would have been written for `registry`, whose words it uses."""
+    return msgspec.structs.replace(
+        contract, context=msgspec.structs.replace(contract.context, registry=registry.hash)
+    )  # fmt: skip
 
 
 def _limits(good: Sequence[Candidate], slowest: float) -> dict[tuple[str, ...], float]:

@@ -9,11 +9,12 @@ import msgspec
 
 from dualbrain.adaptation.balance import repeats
 from dualbrain.adaptation.candidate import Candidate, candidates
-from dualbrain.adaptation.clean_rules import CleanRules, select
+from dualbrain.adaptation.clean_rules import CleanRules, as_of, select
 from dualbrain.adaptation.duplicates import Kept, merge
 from dualbrain.adaptation.sample import Sample, answer
 from dualbrain.adaptation.scene_groups import held_out, scene_groups
 from dualbrain.contracts.canonical_contract import canonical_contract
+from dualbrain.contracts.narrowing import narrows
 from dualbrain.contracts.registry import Registry
 from dualbrain.errors import InvalidSetup
 from dualbrain.memory.chain import Head
@@ -52,19 +53,23 @@ class Curated(msgspec.Struct, frozen=True):
 
 
 def curate(
-    ledger: LedgerReader, registry: Registry, dials: Curation, *, declines: Collection[str] = ()
+    ledger: LedgerReader, registry: Registry, dials: Curation, *, declines: Collection[str] = (),
+    site: Registry | None = None,
 ) -> Curated:  # fmt: skip
     """The data set of `ledger` for the robot of `registry`; the same ledger and dials give the same set.
 
     A decline proves nothing: a planner that declines everything would teach itself to. So none is let in but those that
-    are named in `declines` (ids of memories), by whoever asked for what cannot be done and knew it.
+    are named in `declines` (ids of memories), by whoever asked for what cannot be done and knew it. `site` is the
+    vocabulary where a site file narrows that of the robot: what was done there teaches too, in the robot's own words.
 
     Promise: no scene is on both sides (see `scene_groups`), every completion is accepted by today's gate in its scene,
     every sample leads back to its events. A rollback, a quarantine or a forgotten memory changes what it finds: always
-    curate anew. Raises `InvalidSetup` if nothing is left, `DamagedLedger`.
+    curate anew. Raises `InvalidSetup` if nothing is left or `site` is another vocabulary, `DamagedLedger`.
     """
+    if site is not None and not narrows(site, registry):
+        raise InvalidSetup("vocabulary of the site", got=site.hash, allowed=f"one that only narrows {registry.hash}")
     found = list(candidates(ledger))
-    clean, left_out = select(found, registry, dials.rules, declines)
+    clean, left_out = select(found, registry, dials.rules, declines, site)
     if not clean:
         raise InvalidSetup("clean episodes", got=_told(len(found), left_out), allowed="at least one", fix=_FIX)
     kept = merge(clean)
@@ -93,7 +98,7 @@ def _sample(kept: Kept, registry: Registry, scene: str, shown: int) -> Sample:
     prompt = render_short(
         one.summary, one.instruction, robot=registry.robot, registry=registry.hash, contract_id=CONTRACT_ID
     )
-    text = canonical_contract(msgspec.structs.replace(one.contract, id=CONTRACT_ID), registry)
+    text = canonical_contract(msgspec.structs.replace(as_of(one.contract, registry), id=CONTRACT_ID), registry)
     messages = [{"role": turn["role"], "content": turn["content"]} for turn in prompt]
     return Sample(
         content_id(messages, text), messages, answer(text), one.memo.weight, one.memo.Delta or 0.0, one.duration,

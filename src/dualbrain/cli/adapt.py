@@ -15,7 +15,7 @@ from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.launcher import account_of, launched, team_here
 from dualbrain.cli.memory_open import reader, tell
-from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart
+from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart, WrongUsage
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.fitting.team import Team
@@ -27,8 +27,8 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 def adapt(
     *, robot: str = "panda", base: str = "smollm2-135m-instruct", ledger: Path | None = None,
-    config: Path | None = None, out: Path | None = None, export: Path | None = None, dry_run: Flag = False,
-    when_idle: Flag = False, json: Flag = False,
+    site: Path | None = None, config: Path | None = None, out: Path | None = None, export: Path | None = None,
+    dry_run: Flag = False, when_idle: Flag = False, json: Flag = False,
 ) -> int:  # fmt: skip
     """Learn from what went well: choose the clean episodes of a robot and fit an adapter of the planner on them.
 
@@ -45,6 +45,8 @@ def adapt(
         The model that is adapted: from `dualbrain models list`, or base-135m.
     ledger
         Which memory; default in dualbrain's home.
+    site
+        The site file that the robot ran with: what it did there teaches, too, if the gate accepts it there.
     config
         A TOML file with the dials.
     out
@@ -58,52 +60,57 @@ def adapt(
     json
         Print one JSON object on stdout.
     """
+    if dry_run and export is not None:
+        raise WrongUsage("--dry-run and --export", got="both", allowed="one: a dry run writes nothing")
     if launched() and (dry_run or export or when_idle):
         raise InvalidSetup("adapt in several processes", got="--dry-run, --export or --when-idle", allowed="a fit")
     if when_idle and not (dry_run or export):
         from dualbrain.cli.when_idle import adapt_when_idle
 
         folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
-        return adapt_when_idle(robot=robot, base=base, ledger=ledger, config=config, out=folder, json=json)
+        return adapt_when_idle(robot=robot, base=base, ledger=ledger, site=site, config=config, out=folder, json=json)
     from dualbrain.adaptation.config import AdaptConfig, read_config
-    from dualbrain.runtime.vocabulary import vocabulary
+    from dualbrain.runtime.vocabulary import vocabulary, vocabulary_at
 
     dials, registry = read_config(config) if config else AdaptConfig(), vocabulary(robot)
+    there = vocabulary_at(robot, site) if site else None
     if dry_run or export is not None:
-        return _only_choose(ledger, registry, dials, export if not dry_run else None, json=json)
+        return _only_choose(ledger, registry, there, dials, export, json=json)
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
     with team_here(adapt_with_torch, out) as team:
-        team.once(lambda: _choose(ledger, registry, dials, folder))
+        team.once(lambda: _choose(ledger, registry, there, dials, folder))
         return _fit(dials, registry, base, folder, ledger, team, json=json)
 
 
-def _only_choose(ledger: Path | None, registry: Any, dials: Any, export: Path | None, *, json: bool) -> int:
+def _only_choose(
+    ledger: Path | None, registry: Any, there: Any, dials: Any, export: Path | None, *, json: bool
+) -> int:  # fmt: skip
     """Tell what would be taught; write it to `export`, if that is named."""
     from dualbrain.adaptation.dataset import write_dataset
 
-    dataset = _chosen(ledger, registry, dials, json=json)
+    dataset = _chosen(ledger, registry, there, dials, json=json)
     if export is not None:
         write_dataset(dataset, export)
     return Exit.SUCCESS
 
 
-def _choose(ledger: Path | None, registry: Any, dials: Any, folder: Path) -> None:
+def _choose(ledger: Path | None, registry: Any, there: Any, dials: Any, folder: Path) -> None:
     """Write the data set into `folder`, unless it is there already."""
     from dualbrain.adaptation.dataset import write_dataset
 
     if (folder / DATASET / "dataset.json").is_file():
         Account().print(f"going on with the data set in {folder}")
     else:
-        write_dataset(_chosen(ledger, registry, dials, json=False), folder / DATASET)
+        write_dataset(_chosen(ledger, registry, there, dials, json=False), folder / DATASET)
 
 
-def _chosen(ledger: Path | None, registry: Any, dials: Any, *, json: bool) -> Any:
-    """The data set of the ledger, told on stderr, or on stdout as JSON."""
+def _chosen(ledger: Path | None, registry: Any, there: Any, dials: Any, *, json: bool) -> Any:
+    """The data set of the ledger, told on stderr, or on stdout as JSON; `there` is the vocabulary at a site."""
     from dualbrain.adaptation.curate import curate
     from dualbrain.adaptation.dataset import dataset_of
 
     with reader(ledger) as opened:
-        curated = curate(opened, registry, dials.curation)
+        curated = curate(opened, registry, dials.curation, site=there)
     dataset = dataset_of(curated, registry, dials.curation)
     if json:
         tell({"card": dataset.card, "left_out": curated.left_out, "samples": _briefly(curated)})

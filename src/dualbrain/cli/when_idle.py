@@ -16,13 +16,15 @@ from dualbrain.runtime.low_load import LowLoad, Pace
 
 
 def adapt_when_idle(
-    *, robot: str, base: str, ledger: Path | None, config: Path | None, out: Path, json: bool, pace: Pace | None = None
-) -> int:
+    *, robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, json: bool,
+    pace: Pace | None = None,
+) -> int:  # fmt: skip
     """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself."""
     threads, where = _threads(config), ledger_path(ledger)
 
     def start() -> subprocess.Popen[bytes]:
-        return subprocess.Popen(command(robot, base, ledger, config, out, json=json), start_new_session=True)
+        told = command(robot, base, ledger, site, config, out, json=json)
+        return subprocess.Popen(told, start_new_session=True)
 
     def why_not(own: int | None) -> str:
         at_work = robot_at_work(where, (home() / "gatekeeper.sock",), own=own)
@@ -32,10 +34,12 @@ def adapt_when_idle(
     return Exit(code) if code in set(Exit) else Exit.SETUP
 
 
-def command(robot: str, base: str, ledger: Path | None, config: Path | None, out: Path, *, json: bool) -> list[str]:
+def command(
+    robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, *, json: bool
+) -> list[str]:  # fmt: skip
     """The same command without waiting; with its --out it goes on where it was."""
     told: dict[str, Path | str | None] = {
-        "--robot": robot, "--base": base, "--ledger": ledger, "--config": config, "--out": out,
+        "--robot": robot, "--base": base, "--ledger": ledger, "--site": site, "--config": config, "--out": out,
     }  # fmt: skip
     words = [word for name, value in told.items() if value is not None for word in (name, str(value))]
     code = "import sys; from dualbrain.cli.main import main; sys.exit(main())"

@@ -15,6 +15,7 @@ import numpy as np
 
 from dualbrain import __version__, weights
 from dualbrain.adaptation.serving.opening import open_planner, origin
+from dualbrain.contracts.narrowing import narrows
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.site_file import read_site
 from dualbrain.errors import InvalidSetup
@@ -131,10 +132,10 @@ class Session:
         prefixes.mkdir(parents=True, exist_ok=True)
         key = environ.get("OPENAI_API_KEY", "")
         adapters = self.config.adapters or self.config.ledger.with_name("adapters")
-        registry = registry_of(self.body)
+        registry, own = registry_of(self.body), registry_of(load_body(self.config.robot))
         return open_planner(
             self.config.planner, self.config.cache, adapters=adapters, robot=self.body.name, registry=registry.hash,
-            key=key, prefixes=prefixes,
+            key=key, prefixes=prefixes, narrowed={registry.hash: own.hash} if narrows(registry, own) else {},
         )  # fmt: skip
 
     def run(self, onlooker: Onlooker) -> Finished:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.embodiment.body import load_body
+from dualbrain.embodiment.site_file import read_site
 from dualbrain.records import Scene
+from dualbrain.safety.site import site_body
 from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.scene_spec import SceneSpec
 
@@ -16,6 +20,11 @@ PLANNER = "planner"
 def vocabulary(robot: str) -> Registry:
     """The registry of skills of `robot`; raises `UnknownName` with the known robots."""
     return registry_of(load_body(robot))
+
+
+def vocabulary_at(robot: str, site: Path) -> Registry:
+    """The registry of `robot` where the site file `site` holds; raises `UnknownName`, `SiteError`."""
+    return registry_of(site_body(load_body(robot), read_site(site)))
 
 
 def grants(registry: Registry) -> dict[str, frozenset[str]]:

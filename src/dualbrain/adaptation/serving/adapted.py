@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.serving.fitness import require_fit
@@ -36,9 +36,15 @@ class AdaptedPlanner:
     to be started anew. Raises `NotItself`; later, that is the reason for which there is no answer.
     """
 
-    def __init__(self, inner: LlamaPlanner, card: AdapterCard, check: Check = lambda planner: "") -> None:
-        """Let `inner`, which wears the adapter, propose."""
-        self._inner, self.card, self._check = inner, card, check
+    def __init__(
+        self,
+        inner: LlamaPlanner,
+        card: AdapterCard,
+        check: Check = lambda planner: "",
+        narrowed: Mapping[str, str] = {},
+    ) -> None:
+        """Let `inner`, which wears the adapter, propose, also in the vocabularies of `narrowed`."""
+        self._inner, self.card, self._check, self._narrowed = inner, card, check, narrowed
         self._checked: int | None = None
         if fault := self._fault():
             inner.close()
@@ -56,7 +62,7 @@ class AdaptedPlanner:
 
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`. Raises `InvalidSetup` for a robot or vocabulary that the adapter was not taught."""
-        require_fit(self.card, request.robot, request.registry_hash)
+        require_fit(self.card, request.robot, request.registry_hash, self._narrowed)
         if fault := self._fault():
             return Proposal("", f"{protocol.ERROR}: not the adapter it was: {fault}", self.name, "", {"total": 0.0})
         return self._inner.propose(request)

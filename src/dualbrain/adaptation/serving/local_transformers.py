@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,11 +68,12 @@ class TorchPlanner:
 
     def __init__(
         self, name: str, stack: Stack, cache: Path, asking: Asking, config: TorchConfig | None = None, *,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic, narrowed: Mapping[str, str] = {},
     ) -> None:  # fmt: skip
-        """Nothing is read yet."""
+        """Nothing is read yet. An adapter also answers in the vocabularies of `narrowed`."""
         self.name, self.stack = name, stack
         self._cache, self._asking, self._config, self._clock = cache, asking, config or TorchConfig(), clock
+        self._narrowed = narrowed
         self._loaded: tuple[Any, Any, Any] | None = None
 
     @property
@@ -106,7 +107,7 @@ class TorchPlanner:
     def _together(self, requests: Sequence[PlanRequest]) -> list[Proposal]:
         for request in requests:
             if self.stack.layers:
-                require_fit(self.stack.top, request.robot, request.registry_hash)
+                require_fit(self.stack.top, request.robot, request.registry_hash, self._narrowed)
         grammars = [self._grammar(request) for request in requests]
         begun = self._clock()
         model, tokenizer, vocabulary = self._load()

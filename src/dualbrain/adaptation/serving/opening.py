@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from dualbrain.adaptation.adapters import Adapters
@@ -37,29 +38,37 @@ CANARIES, SHADOWS = "canaries", "shadows"
 def open_planner(
     name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", key: str = "",
     dialect: str = "openai", threads: int = 1, timeout_s: float = 600.0, prefixes: Path | None = None,
+    narrowed: Mapping[str, str] = {},
 ) -> Planner:  # fmt: skip
     """The planner called `name`, ready to propose.
 
     `adapter:ID`, `adapter:champion`, the name of a packaged adapter, `shadow:ID@PLANNER` for a candidate that is asked
     too and heard by nobody, `transformers:NAME` for a model or an adapter in torch; all else as
     `planner.registry.open_planner` has it, unchanged. `adapters` is the folder of the registry. With `robot` (and the
-    hash `registry` of its vocabulary) an adapter that was not taught them is refused before anything is started.
+    hash `registry` of its vocabulary) an adapter that was not taught them is refused before anything is started;
+    `narrowed` names vocabularies that only narrow another one.
     Raises `InvalidSetup`, `UnknownName`, `MissingPart`, `WrongHash`, `NotItself`.
     """
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
     if name.startswith(SHADOW):
         candidate, serving = shadow_parts(name)
-        shadow = open_adapter(candidate, cache, adapters=adapters, robot=robot, registry=registry, config=config)
+        shadow = open_adapter(
+            candidate, cache, adapters=adapters, robot=robot, registry=registry, config=config, narrowed=narrowed
+        )
         served = open_planner(
             serving, cache, adapters=adapters, robot=robot, registry=registry, key=key, dialect=dialect,
-            threads=threads, timeout_s=timeout_s, prefixes=prefixes,
+            threads=threads, timeout_s=timeout_s, prefixes=prefixes, narrowed=narrowed,
         )  # fmt: skip
         return Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
     if name.startswith(TORCH):
         within = (threads, timeout_s)
-        return _in_torch(without_engine(name), cache, adapters, robot=robot, registry=registry, within=within)
+        return _in_torch(
+            without_engine(name), cache, adapters, robot=robot, registry=registry, within=within, narrowed=narrowed
+        )
     if is_adapter(name):
-        return open_adapter(name, cache, adapters=adapters, robot=robot, registry=registry, config=config)
+        return open_adapter(
+            name, cache, adapters=adapters, robot=robot, registry=registry, config=config, narrowed=narrowed
+        )
     try:
         return plain.open_planner(
             name, cache, key=key, dialect=dialect, threads=threads, timeout_s=timeout_s, prefixes=prefixes
@@ -88,22 +97,22 @@ def open_unbound(name: str, cache: Path, *, adapters: Path, robot: str = "", reg
 
 def open_adapter(
     name: str, cache: Path, *, adapters: Path, robot: str = "", registry: str = "", config: LlamaConfig | None = None,
-    asking: Asking = SHORT,
+    asking: Asking = SHORT, narrowed: Mapping[str, str] = {},
 ) -> AdaptedPlanner:  # fmt: skip
     """The adapter called `name` as a planner; its canary has been asked when this returns."""
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     card = stack.top
     require_prompt(card)
     if robot:
-        require_fit(card, robot, registry)
+        require_fit(card, robot, registry, narrowed)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
     planner = wear(stack, cache, chosen, called=author(name, stack), asking=asking)
-    return AdaptedPlanner(planner, card, watch_of(planner, stack, cache, adapters, chosen))
+    return AdaptedPlanner(planner, card, watch_of(planner, stack, cache, adapters, chosen), narrowed)
 
 
 def _in_torch(
     name: str, cache: Path, adapters: Path, *, robot: str, registry: str, within: tuple[int, float] = (1, 600.0),
-    free: bool = False,
+    free: bool = False, narrowed: Mapping[str, str] = {},
 ) -> Planner:  # fmt: skip
     """A model of the manifest, or an adapter, in transformers; raises `MissingPart` without the extra."""
     try:
@@ -125,8 +134,8 @@ def _in_torch(
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     require_prompt(stack.top)
     if robot:
-        require_fit(stack.top, robot, registry)
-    return TorchPlanner(author(name, stack), stack, cache, short, config)
+        require_fit(stack.top, robot, registry, narrowed)
+    return TorchPlanner(author(name, stack), stack, cache, short, config, narrowed=narrowed)
 
 
 def examine(folder: Path, cache: Path, adapters: Path) -> str:
