@@ -8,9 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from dualbrain.cli.adapt import adapt
+from dualbrain.cli.adapters import history, list_adapters, verify
+from dualbrain.cli.adapters_export import diff, export
+from dualbrain.cli.adapters_make import make
+from dualbrain.cli.adapters_measure import measure
 from dualbrain.cli.check import check
 from dualbrain.cli.demo import demo
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.plan import plan
 from dualbrain.cli.replay import replay
 from dualbrain.cli.run import run
 from dualbrain.cli.schema import schema
@@ -134,3 +140,15 @@ def test_the_page_of_commands_knows_every_option(command):
     parameters = inspect.signature(command).parameters.values()
     options = {f"--{parameter.name}" for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
     assert options <= set(re.findall(r"--\w+", section))
+
+
+@pytest.mark.parametrize("command", [plan, adapt, list_adapters, history, verify, measure, diff, export, make])
+def test_the_usage_of_what_plans_and_learns_has_every_option(command):
+    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    name = command.__name__.removesuffix("_adapters")
+    section = page.split(f"\n## {name if command in {plan, adapt} else 'adapters'}\n")[1].split("\n## ")[0]
+    usages = re.split(r" \| |`", " ".join(section.split()))
+    usage = next(one for one in usages if re.match(rf"(dualbrain )?(adapters )?{name} .*--", one))
+    for one in inspect.signature(command).parameters.values():
+        if one.kind is one.KEYWORD_ONLY:
+            assert f"--{one.name.replace('_', '-')}" in usage
