@@ -1,24 +1,31 @@
 """A candidate in the champion's shadow: asked what the champion is asked, heard by nobody, written down.
 
-Its answers move nothing; they tell how it does on real questions before it is promoted.
+Its answers move nothing; they tell how it does on real questions before it is promoted. The robot never waits for it: a
+question that comes while it still thinks is passed over and counted.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 from statistics import median
-from threading import Thread
+from threading import Lock, Thread
 
 import msgspec
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.planner.protocol import STOP, Planner
+from dualbrain.planner.protocol import ERROR, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
+PATIENCE_S = 2.0
+"""How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
+
 
 class Glance(msgspec.Struct, frozen=True):
-    """One question in the shadow: who answered it for good, and what the candidate would have said."""
+    """One question in the shadow: who answered it for good, and what the candidate would have said.
+
+    `passed_over` counts the questions that came meanwhile, or of which nothing could be written.
+    """
 
     served: str
     candidate: str
@@ -27,6 +34,7 @@ class Glance(msgspec.Struct, frozen=True):
     candidate_text: str
     finish: str
     seconds: float
+    passed_over: int = 0
 
     @property
     def same(self) -> bool:
@@ -38,9 +46,15 @@ class Shadowed:
     """Proposes with `serving`; `candidate` is asked afterwards, and what it says goes to `log`, one line each."""
 
     def __init__(self, serving: Planner, candidate: Planner, log: Path) -> None:
-        """Let `candidate` stand in the shadow of `serving`."""
+        """Let `candidate` stand in the shadow of `serving`; raises `InvalidSetup` if `log` cannot be written."""
         self.serving, self._candidate, self._log = serving, candidate, log
         self._asking: Thread | None = None
+        self._lock, self._busy, self._passed_over = Lock(), False, 0
+        try:
+            log.parent.mkdir(parents=True, exist_ok=True)
+            log.open("ab").close()
+        except OSError as error:
+            raise InvalidSetup("log of the shadow", got=str(error), allowed="a file to write to") from error
 
     @property
     def name(self) -> str:
@@ -48,32 +62,56 @@ class Shadowed:
         return self.serving.name
 
     def propose(self, request: PlanRequest) -> Proposal:
-        """The answer of who serves; the robot need not wait for the shadow."""
-        self._wait()
+        """The answer of who serves; nothing waits for the shadow."""
         proposal = self.serving.propose(request)
-        self._asking = Thread(target=self._glance, args=(request, proposal), name="shadow", daemon=True)
-        self._asking.start()
+        if self._begins():
+            self._asking = Thread(target=self._glance, args=(request, proposal), name="shadow", daemon=True)
+            self._asking.start()
         return proposal
 
     def close(self) -> None:
-        """End both, after the last answer of the candidate."""
+        """End both; an answer of the candidate that is under way has a short while left."""
         self._wait()
         self.serving.close()
         self._candidate.close()
+        self._wait()
 
     def _wait(self) -> None:
         if self._asking is not None:
-            self._asking.join()
+            self._asking.join(PATIENCE_S)
+
+    def _begins(self) -> bool:
+        """Whether the candidate is free for a question; one that it is not free for is counted."""
+        with self._lock:
+            free, self._busy = not self._busy, True
+            self._passed_over += not free
+        return free
+
+    def _ends(self) -> int:
+        """Set the candidate free; the number of questions that were passed over until now."""
+        with self._lock:
+            passed_over, self._passed_over, self._busy = self._passed_over, 0, False
+        return passed_over
 
     def _glance(self, request: PlanRequest, served: Proposal) -> None:
-        said = self._candidate.propose(request)
+        said = self._said(request)
         glance = Glance(
             served.planner, said.planner, request.instruction, served.text, said.text, said.finish_reason,
-            said.timings.get("total", 0.0),
+            said.timings.get("total", 0.0), self._ends(),
         )  # fmt: skip
-        self._log.parent.mkdir(parents=True, exist_ok=True)
-        with self._log.open("ab") as log:
-            log.write(msgspec.json.encode(glance) + b"\n")
+        try:
+            with self._log.open("ab") as log:
+                log.write(msgspec.json.encode(glance) + b"\n")
+        except OSError:
+            with self._lock:
+                self._passed_over += 1 + glance.passed_over
+
+    def _said(self, request: PlanRequest) -> Proposal:
+        """What the candidate says; whatever it raises is its finish reason."""
+        try:
+            return self._candidate.propose(request)
+        except Exception as error:
+            return Proposal("", f"{ERROR}: {error}", self._candidate.name, "", {})
 
 
 def glances(log: Path) -> tuple[Glance, ...]:
@@ -99,8 +137,14 @@ def summary(seen: tuple[Glance, ...]) -> str:
     """How a candidate did in the shadow, in words."""
     if not seen:
         return "never asked in the shadow"
-    same = sum(one.same for one in seen)
-    return (
+    same, errors = sum(one.same for one in seen), sum(one.finish.startswith(ERROR) for one in seen)
+    passed_over = sum(one.passed_over for one in seen)
+    told = (
         f"asked {len(seen)} times in the shadow: {whole(seen)} whole answers, {same} as who served, "
-        f"{median(one.seconds for one in seen):.1f} s each (median)"
+        f"{median([one.seconds for one in seen if one.seconds] or [0.0]):.1f} s each (median)"
     )
+    if errors:
+        told += f"; errors: {errors}"
+    if passed_over:
+        told += f"; {passed_over} more passed over, while it still thought or nothing could be written"
+    return told
