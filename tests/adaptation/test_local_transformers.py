@@ -13,11 +13,14 @@ for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
 from dualbrain.adaptation.serving import local_transformers
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.local_transformers import TorchConfig, TorchPlanner
-from dualbrain.adaptation.serving.opening import open_planner, wear
+from dualbrain.adaptation.serving.opening import open_planner, origin, wear
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.planner import protocol
 from dualbrain.planner.asking import FREE, SHORT
 from dualbrain.planner.llama import LlamaConfig
+from dualbrain.planner.prompt import template_hash
+from dualbrain.planner.reading import template_of
+from dualbrain.planner.short_prompt import short_template_hash
 from tests.adaptation import tiny_served
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import model
@@ -90,7 +93,10 @@ def test_it_is_opened_by_name(home):
     opened = open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
     assert isinstance(opened, TorchPlanner)
     assert opened.name.startswith("tiny+")
-    assert open_planner("transformers:tiny", home / "cache", **told).name == "tiny in torch"
+    bare = open_planner("transformers:tiny", home / "cache", **told)
+    assert bare.name == "tiny in torch"
+    assert origin(opened) == {"prompt": short_template_hash(), "adapter": opened.stack.top.id}
+    assert (origin(bare), template_of(bare)) == ({}, template_hash())
     for wrong in ("bse-135m", "", "efficientnet-lite0"):
         with pytest.raises(UnknownName, match="base-135m"):
             open_planner(f"transformers:{wrong}", home / "cache", **told)

@@ -2,14 +2,18 @@
 
 import time
 from threading import Event
+from types import SimpleNamespace
 
 import pytest
 
 from dualbrain.adaptation.serving import shadow
 from dualbrain.adaptation.serving.names import shadow_parts
+from dualbrain.adaptation.serving.opening import origin
 from dualbrain.adaptation.serving.shadow import Shadowed, glances, summary
 from dualbrain.errors import InvalidSetup
 from dualbrain.planner import protocol
+from dualbrain.planner.prompt import render, template_hash
+from dualbrain.planner.reading import messages_of, template_of
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.questions import request
 
@@ -107,6 +111,25 @@ def test_a_log_of_an_older_version_is_read(tmp_path):
                    '"finish":"stop","seconds":1.5}\n')  # fmt: skip
     assert [(one.same, one.passed_over) for one in glances(log)] == [(True, 0)]
     assert summary(glances(log)).endswith("1 as who served, 1.5 s each (median)")
+
+
+class Adapted(ScriptedPlanner):
+    template, card = "0123456789abcdef", SimpleNamespace(id="a" * 64)
+
+    def messages(self, request):
+        return [{"role": "user", "content": request.instruction}]
+
+
+def test_what_is_read_and_recorded_is_that_of_who_serves(tmp_path):
+    log = tmp_path / "a.jsonl"
+    adapted, bare = Adapted(["one"]), ScriptedPlanner(["one"])
+    planner = Shadowed(adapted, bare, log)
+    assert origin(planner) == origin(adapted) == {"prompt": adapted.template, "adapter": adapted.card.id}
+    assert messages_of(planner, request("words")) == [{"role": "user", "content": "words"}]
+    planner = Shadowed(bare, adapted, log)
+    assert origin(planner) == origin(bare) == {}
+    assert template_of(planner) == template_hash()
+    assert messages_of(planner, request()) == render(request())
 
 
 def test_an_answer_that_is_not_whole_is_never_the_same(tmp_path):

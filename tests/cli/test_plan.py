@@ -1,12 +1,16 @@
 """dualbrain plan: the prompt, what was retrieved, the contract, the verdict; nothing moves, nothing is written."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from dualbrain.adaptation.serving import opening
 from dualbrain.cli.exits import Exit
+from dualbrain.planner.asking import short_messages
+from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.planner.short_prompt import short_template_hash
 from tests.stories.rig import GRASP, PLACE, contract, decline, pause, play, settings
 
 PICK = contract(("grasp", GRASP), ("place", PLACE))
@@ -79,6 +83,42 @@ def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, s
     for one in found:
         assert one["episode_id"] in out
     assert config.ledger.read_bytes() == before
+
+
+class Short(ScriptedPlanner):
+    """Reads what an adapted planner reads."""
+
+    template, messages = short_template_hash(), staticmethod(short_messages)
+
+
+def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, script, tmp_path, monkeypatch):
+    config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
+    play(replace(config, instruction=WORDS), pause())
+    script()
+    monkeypatch.setattr(opening, "open_planner", lambda *_, **__: Short([FAST, PICK]))
+    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
+    _, out, err = tell(*arguments)
+    assert err.count("documents are not shown to scripted") == 1
+    assert "what was found, not shown to this planner" in out
+    assert "what was shown" not in out
+    _, out, _ = tell(*arguments, "--json")
+    told = json.loads(out)
+    assert told["template"] == short_template_hash()
+    found = {name for name in ("warnings", "passages") if told["retrieved"][name]}
+    assert "passages" in found
+    assert set(told["unread"]) == found
+    prompts = json.dumps([shot["prompt"] for shot in told["shots"]])
+    assert not any(one["citation"] in prompts for one in told["retrieved"]["passages"])
+    assert "documents are not shown" not in tell(*arguments, "--knowledge", "off")[2]
+
+
+def test_a_planner_with_the_full_prompt_reads_all_that_was_found(tell, script):
+    script(PICK)
+    _, out, err = tell("plan", WORDS, "--scene", "bare:0", "--json")
+    told = json.loads(out)
+    assert (told["unread"], told["template"]) == ([], template_hash())
+    assert told["retrieved"]["passages"]
+    assert "not shown" not in err
 
 
 def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_path):

@@ -10,10 +10,13 @@ from dualbrain.cli.exits import Exit
 from dualbrain.cli.run import run
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import WrongUsage
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall, Scene, Violation
+from dualbrain.runtime import session
 from dualbrain.runtime.session import FILES
 from dualbrain.world.scene_spec import load_scene
-from tests.stories.rig import ledger_episodes
+from tests.stories.rig import ledger_episodes, pause
 
 KEYS = {
     "success", "violations", "contract", "verdict", "delta", "intervention_frequency", "h_min", "timings", "out",
@@ -75,6 +78,16 @@ def test_the_ledger_remembers_the_run_and_not_the_truth(finished):
     (remembered,) = ledger_episodes(folder / "ledger.sqlite")
     assert remembered["episode"]["outcome"]["kind"] == "succeeded"
     assert "judgement" not in remembered["episode"]
+
+
+def test_documents_that_a_planner_cannot_read_are_told_once(tell, monkeypatch):
+    class Short(ScriptedPlanner):
+        template = short_template_hash()
+
+    for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
+        monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([pause()]))
+        _, _, err = tell("run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__)
+        assert err.count("documents are not shown to scripted") == times
 
 
 # --- exit codes ---------------------------------------------------------------------------------------------------

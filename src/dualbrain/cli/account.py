@@ -30,6 +30,7 @@ from dualbrain.dashboard.report import write_report
 from dualbrain.memory.map import memory_map
 from dualbrain.memory.plasticity import EPSILON
 from dualbrain.memory.utility import total
+from dualbrain.planner.reading import deaf_to_documents
 from dualbrain.records import Episode
 from dualbrain.runtime.decision import in_words
 from dualbrain.runtime.live_session import LiveSession
@@ -64,6 +65,8 @@ def carry_out(
         f"[bold]{escape(storable(instruction, 400)) or 'a given contract'}[/]  [dim]{robot}, scene {scene}, {out}[/]"
     )
     with (LiveSession if live else Session)(config, times, os.environ) as session:
+        if consult and contract is None and (why := deaf_to_documents(session.planner)):
+            console.print(f"[yellow]{escape(why)}[/]")
         lookout = Lookout(session, port, console) if view else None
         if isinstance(session, LiveSession):
             session.stage = stage

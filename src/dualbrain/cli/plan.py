@@ -54,7 +54,7 @@ def plan(
     memory
         "off" recalls nothing.
     knowledge
-        "off" consults no documents, as `dualbrain run` does unless told otherwise.
+        "off" consults no documents, as `dualbrain run` does unless told otherwise. An adapted planner reads none.
     ledger
         Which memory; default in dualbrain's home. It is only read.
     shots
@@ -63,6 +63,7 @@ def plan(
         Print one JSON object on stdout.
     """
     from dualbrain.cli.waiting import Waiting
+    from dualbrain.planner.reading import deaf_to_documents
     from dualbrain.runtime.desk import as_specified
     from dualbrain.runtime.planning import from_home
     from dualbrain.runtime.planning import plan as ask
@@ -78,6 +79,8 @@ def plan(
         reminder = stack.enter_context(_memory(ledger, here)) if memory == "on" else None
         look_up = stack.enter_context(_documents(here)) if knowledge == "on" else _nothing
         thinker = stack.enter_context(_planner(planner, here))
+        if knowledge == "on" and (why := deaf_to_documents(thinker)):
+            console.print(why, markup=False)
         waiting = Waiting(console, f"the planner thinks ({thinker.name})")
         waiting.start()
         try:
@@ -93,14 +96,13 @@ def plan(
 
 def summary(instruction: str, planned: Planned) -> dict[str, Any]:
     """The one object that `--json` prints."""
-    from dualbrain.planner.prompt import template_hash
-
     last = planned.shots[-1].attempt
     return {
         "instruction": instruction, "summary": planned.summary, "accepted": _accepted(planned),
         "declined": planned.declined, "contract": _contract(planned), "verdict": last.verdict,
-        "retrieved": planned.recall, "shots": [{"prompt": one.prompt, **_told(one.attempt)} for one in planned.shots],
-        "planner": last.proposal.planner, "timings": planned.timings, "template": template_hash(),
+        "retrieved": planned.recall, "unread": planned.unread,
+        "shots": [{"prompt": one.prompt, **_told(one.attempt)} for one in planned.shots],
+        "planner": last.proposal.planner, "timings": planned.timings, "template": planned.template,
     }  # fmt: skip
 
 
@@ -149,16 +151,18 @@ def _tell(planned: Planned) -> None:
 
 def _tell_retrieved(planned: Planned) -> None:
     recall = planned.recall
+    avoid = "avoid, not shown" if "warnings" in planned.unread else "avoid"
+    shown = "what was found, not shown to this planner" if "passages" in planned.unread else "what was shown"
     rows = [
         (use, str(one.rank), f"{one.score:.3f}", f"{one.similarity:.3f}", f"{one.weight:.3f}", one.episode_id,
          one.instruction)
-        for use, found in (("follow", recall.exemplars), ("avoid", recall.warnings)) for one in found
+        for use, found in (("follow", recall.exemplars), (avoid, recall.warnings)) for one in found
     ]  # fmt: skip
     if rows:
         listing(("use", "rank", "R", "s", "w", "memory", "instruction"), rows, gives=("instruction",))
     if recall.passages:
         quoted = [(str(one.rank), one.citation, one.trust, f"{one.likeness:.3f}", one.text) for one in recall.passages]
-        listing(("rank", "citation", "trust", "likeness", "what was shown"), quoted, gives=("what was shown",))
+        listing(("rank", "citation", "trust", "likeness", shown), quoted, gives=(shown,))
     if not rows and not recall.passages:
         answer("nothing")
 

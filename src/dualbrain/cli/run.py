@@ -76,13 +76,15 @@ def run(
     seed
         Everything random after the scene (perception).
     tries
-        How many contracts may be carried out, 1 to 5: after one that failed or was taken over the planner is told why.
+        How many contracts may be carried out, 1 to 5: after one that failed or was taken over the planner is told why
+        (an adapter is not: it draws another answer).
     port
         Where the live view listens, on this machine only.
     eyes
         A picture of the scene, as features, becomes part of what memory compares (needs `efficientnet-lite0`).
     knowledge
-        "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`).
+        "on" shows the planner up to three passages of your documents that bear on the task (`dualbrain knowledge`); an
+        adapter reads none.
     utility
         Afterwards ask the planner again without each memory it was shown, to tell which was of use; answers are kept.
     epsilon

@@ -6,7 +6,7 @@ errors), with the body at home. Memory and documents are only read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -17,9 +17,9 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import at_home
 from dualbrain.memory.posture import Posture
-from dualbrain.planner.prompt import MAX_RECALLED, Message, render
+from dualbrain.planner.prompt import MAX_RECALLED, Message
 from dualbrain.planner.protocol import Planner
-from dualbrain.planner.request import PlanRequest
+from dualbrain.planner.reading import messages_of, template_of, unread
 from dualbrain.records import Attempt, Proposal, Recall, Scene
 from dualbrain.runtime.decision import timings
 from dualbrain.runtime.desk import limb_at_home
@@ -43,17 +43,26 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision."""
+    """What became of an instruction: the scene in symbols, what was retrieved, every shot, the time of the decision.
+
+    `template` is the hash of the fixed text of the prompt that the planner read.
+    """
 
     summary: str
     recall: Recall
     shots: tuple[Shot, ...]
     timings: dict[str, float]
+    template: str
 
     @property
     def verdict(self) -> Verdict:
         """The gate's last word."""
         return self.shots[-1].attempt.verdict
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """What was retrieved and has no place in the prompt of this planner: fields of `recall`."""
+        return unread(self.template, self.recall)
 
     @property
     def declined(self) -> bool:
@@ -80,25 +89,20 @@ def plan(
     gate = Gate(here.registry, grants(here.registry), scene_rules(here.scene, limb))
     done: list[Shot] = []
     while len(done) < shots:
-        prompt, proposal = tuple(prompt_of(planner, request)), planner.propose(request)
+        prompt, proposal = tuple(messages_of(planner, request)), planner.propose(request)
         verdict, spent = _timed(clock, lambda answer=proposal: unfinished(answer) or _check(gate, answer, here.scene))
         kept = msgspec.structs.replace(proposal, text=storable(proposal.text))
         done.append(Shot(prompt, Attempt(kept, verdict, spent)))
         if not isinstance(verdict, Rejected):
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
-    return Planned(here.summary, recall, tuple(done), timings([one.attempt for one in done], retrieval))
+    spent = timings([one.attempt for one in done], retrieval)
+    return Planned(here.summary, recall, tuple(done), spent, template_of(planner))
 
 
 def _check(gate: Gate, answer: Proposal, scene: Scene) -> Verdict:
     data = answer.text.encode("utf-8", "surrogatepass")
     return gate.check(data, names=scene_names(scene), principal=PLANNER, now=0.0)
-
-
-def prompt_of(planner: Planner, request: PlanRequest) -> Sequence[Message]:
-    """What `planner` reads for `request`: its own way of putting it, or the full prompt."""
-    own: Callable[[PlanRequest], Sequence[Message]] | None = getattr(planner, "messages", None)
-    return own(request) if own else render(request)
 
 
 def _reminded(instruction: str, here: Standpoint, memory: Reminder | None, look_up: LookUp) -> Recall:

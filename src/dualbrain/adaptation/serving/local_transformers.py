@@ -19,6 +19,7 @@ from typing import Any
 import jsonschema_rs
 import torch
 
+from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
@@ -75,6 +76,11 @@ class TorchPlanner:
         self._cache, self._asking, self._config, self._clock = cache, asking, config or TorchConfig(), clock
         self._narrowed = narrowed
         self._loaded: tuple[Any, Any, Any] | None = None
+
+    @property
+    def card(self) -> AdapterCard | None:
+        """The adapter that is served, None for a bare model."""
+        return self.stack.top if self.stack.layers else None
 
     @property
     def template(self) -> str:

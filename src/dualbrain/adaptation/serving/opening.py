@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.adaptation.serving.canary import SCENES, Watch
@@ -28,6 +29,7 @@ from dualbrain.planner import registry as plain
 from dualbrain.planner.asking import FULL, SHORT, Asking, unbound
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.protocol import Planner
+from dualbrain.planner.reading import template_of
 from dualbrain.weights import locate
 
 N_CTX = 4096
@@ -163,8 +165,8 @@ def watch_of(planner: LlamaPlanner, stack: Stack, cache: Path, adapters: Path, c
 
 def origin(planner: Planner) -> dict[str, str]:
     """Prompt template and adapter of the planner that answers, for the record; empty for one without an adapter."""
-    serving = planner.serving if isinstance(planner, Shadowed) else planner
-    return {"prompt": serving.template, "adapter": serving.card.id} if isinstance(serving, AdaptedPlanner) else {}
+    card: AdapterCard | None = getattr(planner, "card", None)
+    return {"prompt": template_of(planner), "adapter": card.id} if card else {}
 
 
 def shadow_log(adapters: Path, adapter: str) -> Path:

@@ -6,14 +6,18 @@ question that comes while it still thinks is passed over and counted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from threading import Lock, Thread
 
 import msgspec
 
+from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.errors import InvalidSetup
+from dualbrain.planner.prompt import Message
 from dualbrain.planner.protocol import ERROR, STOP, Planner
+from dualbrain.planner.reading import messages_of, template_of
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -60,6 +64,20 @@ class Shadowed:
     def name(self) -> str:
         """Who answers."""
         return self.serving.name
+
+    @property
+    def template(self) -> str:
+        """Hash of the fixed text of the prompt that who answers reads."""
+        return template_of(self.serving)
+
+    @property
+    def card(self) -> AdapterCard | None:
+        """The adapter of who answers, None for one without."""
+        return getattr(self.serving, "card", None)
+
+    def messages(self, request: PlanRequest) -> Sequence[Message]:
+        """What who answers reads for `request`."""
+        return messages_of(self.serving, request)
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The answer of who serves; nothing waits for the shadow."""
