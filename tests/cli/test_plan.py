@@ -1,4 +1,4 @@
-"""dualbrain plan: the prompt, what was retrieved, the contract, the verdict; nothing moves, nothing is written."""
+"""dualbrain plan: the prompt, what was retrieved, the contract, the verdict; nothing moves, memory is only read."""
 
 import json
 from dataclasses import replace
@@ -121,6 +121,15 @@ def test_a_planner_with_the_full_prompt_reads_all_that_was_found(tell, script):
     assert "not shown" not in err
 
 
+@pytest.mark.parametrize(("knowledge", "kept"), [("off", set()), ("on", {"knowledge.sqlite"})])
+def test_at_home_it_writes_the_shipped_documents_and_nothing_else(tell, script, tmp_path, knowledge, kept):
+    script(FAST, PICK)
+    for _ in range(2):
+        tell("plan", WORDS, "--scene", "bare:0", "--knowledge", knowledge)
+        home = tmp_path / "home"
+        assert {path.name for path in (home.iterdir() if home.exists() else ())} == kept
+
+
 def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_path):
     script(PICK)
     assert tell("plan", "  ")[0] == Exit.USAGE
@@ -133,5 +142,5 @@ def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_p
 def test_help_teaches(tell):
     code, out, _ = tell("plan", "--help")
     assert code == Exit.SUCCESS
-    for words in ("nothing is written", "citations", "--contract c.json", "Exits 0"):
+    for words in ("memory is only read", "shipped documents", "citations", "--contract c.json", "Exits 0"):
         assert words in " ".join(out.replace("│", " ").split())

@@ -48,12 +48,14 @@ app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.
 app.command(
     "dualbrain.cli.plan:plan",
     name="plan",
-    help="""What the planner would do, shown whole; nothing moves and nothing is written.
+    help="""What the planner would do, shown whole; nothing moves, and memory is only read.
 
     Shows, in this order: the prompt as the model reads it; its answer, which is the contract; the verdict of the gate's
     three stages; what was retrieved (memories with the parts of their score R = λ_s s + (1 − λ_s) w, passages with
     citations that `dualbrain knowledge show CITATION` quotes); where the time of the decision went. The robot stands at
-    home and sees the scene without error.
+    home and sees the scene without error. Written is only what a run would keep for the next question: the shipped
+    documents at their first use (not with `--knowledge off`), states and converted weights of models in the cache, an
+    adapter's canaries, and with `shadow:` the log of the candidate.
 
     Try `dualbrain plan "put the red cube in the bowl"`; see what becomes of a bad idea with `dualbrain plan "throw the
     red cube at the person"`; save a contract with `--json | jq .contract > c.json` and run it: `dualbrain run

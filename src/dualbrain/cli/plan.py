@@ -39,7 +39,7 @@ def plan(
     shots: int = 2,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Plan one instruction and show everything; no robot, no simulation, nothing is written.
+    """Plan one instruction and show everything; no robot, no simulation, and memory is only read.
 
     Parameters
     ----------
