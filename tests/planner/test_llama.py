@@ -6,14 +6,18 @@ import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jsonschema_rs
 import pytest
 
+from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import InvalidSetup
 from dualbrain.planner import prompt, protocol
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
-from dualbrain.planner.registry import SMALL_PLANNER
+from dualbrain.planner.llama_process import LlamaProcess
+from dualbrain.planner.registry import SMALL_PLANNER, open_planner
 from dualbrain.records import Recall
 from dualbrain.weights import default_cache, locate
 from tests.planner.questions import NAMES, REGISTRY, exemplar, request
@@ -78,6 +82,32 @@ def test_a_grammar_that_the_server_drops_is_noticed(planner: LlamaPlanner) -> No
     unreadable = {"type": "array", "items": {"type": "string", "pattern": "^(?=zq)zq$"}, "minItems": 1}
     proposal = planner.propose(request(schema={"properties": {"action_sequence": unreadable}}))
     assert proposal.finish_reason in {"error: the grammar was not applied", protocol.LENGTH}
+
+
+@pytest.mark.parametrize("dialect", ["llama.cpp", "llguidance"])
+def test_a_real_server_of_llama_cpp_answers_in_its_dialects_and_only_with_the_key(weights: Path, dialect: str) -> None:
+    process = LlamaProcess(weights, LlamaConfig(n_ctx=2048))
+    try:
+        address, failure = process.address(120.0)
+        assert failure is None
+        asked = request(schema=one_step(request().schema))
+        answers = [
+            open_planner(f"{dialect}+{address}/v1#small", weights.parent, key=key, timeout_s=120.0).propose(asked)
+            for key in (process.key, "")
+        ]
+    finally:
+        process.close()
+    assert [one.finish_reason.split(":")[0] for one in answers] == [protocol.STOP, protocol.ERROR]
+    assert "401" in answers[1].finish_reason
+    jsonschema_rs.validator_for(asked.schema).validate(json.loads(answers[0].text))
+    gate = Gate(REGISTRY, {"planner": frozenset(REGISTRY.by_name)})
+    assert isinstance(gate.check(answers[0].text.encode(), names=NAMES, principal="planner", now=0.0), Accepted)
+
+
+def one_step(schema: dict[str, Any]) -> dict[str, Any]:
+    """The schema of contracts of one step: a short answer is enough."""
+    steps = schema["properties"]["action_sequence"] | {"maxItems": 1}
+    return schema | {"properties": schema["properties"] | {"action_sequence": steps}}
 
 
 def test_a_killed_child_is_a_proposal_and_the_next_one_starts_afresh(planner: LlamaPlanner) -> None:

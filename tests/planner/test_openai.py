@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.planner import chat, ollama, protocol
 from dualbrain.planner.grammar import contract_grammar, narrow
+from dualbrain.planner.llama_schema import by_length
 from dualbrain.planner.openai import DIALECTS, ServerConfig, ServerPlanner
 from dualbrain.planner.prompt import render
 from dualbrain.records import Proposal
@@ -88,9 +89,9 @@ FIELDS = {
                "schema": SCHEMA}}),
     "vllm": ("structured_outputs", {"json": SCHEMA}),
     "llama.cpp": ("response_format", {"type": "json_schema", "json_schema": {"name": "contract", "strict": True,
-                  "schema": SCHEMA}}),
+                  "schema": by_length(request().schema)}}),
     "llguidance": ("grammar", contract_grammar(request().schema)),
-    "ollama": ("format", SCHEMA),
+    "ollama": ("format", by_length(request().schema)),
 }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.planner.chat import Answer, ask, read_completion, strip_fence
 from dualbrain.planner.grammar import contract_grammar, narrow
+from dualbrain.planner.llama_schema import by_length
 from dualbrain.planner.ollama import chat_address, chat_body, read_chat
 from dualbrain.planner.prompt import render
 from dualbrain.planner.request import PlanRequest
@@ -28,27 +29,27 @@ class Dialect:
     constraint: Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def _response_format(schema: dict[str, Any]) -> dict[str, Any]:
-    form = {"name": "contract", "strict": True, "schema": narrow(schema)}
+def _response_format(narrowed: dict[str, Any]) -> dict[str, Any]:
+    form = {"name": "contract", "strict": True, "schema": narrowed}
     return {"response_format": {"type": "json_schema", "json_schema": form}}
 
 
 OLLAMA = "ollama"
 DIALECTS = {
-    "openai": Dialect("response_format json_schema (strict)", _response_format),
+    "openai": Dialect("response_format json_schema (strict)", lambda schema: _response_format(narrow(schema))),
     "vllm": Dialect(
         "structured_outputs json (vLLM, its choice of engine)",
         lambda schema: {"structured_outputs": {"json": narrow(schema)}},
     ),
     "llama.cpp": Dialect(
         "response_format json_schema (llama.cpp, numeric bounds not enforced)",
-        lambda schema: _response_format(schema) | {"cache_prompt": True},
+        lambda schema: _response_format(by_length(schema)) | {"cache_prompt": True},
     ),
     "llguidance": Dialect(
         "llguidance in llama.cpp (server)",
         lambda schema: {"grammar": contract_grammar(schema), "cache_prompt": True},
     ),
-    OLLAMA: Dialect("format (Ollama, numeric bounds not enforced)", lambda schema: {"format": narrow(schema)}),
+    OLLAMA: Dialect("format (Ollama, numeric bounds not enforced)", lambda schema: {"format": by_length(schema)}),
     "free": Dialect("nothing (free decoding)", lambda schema: {}),
 }
 """`openai` is understood by nearly all. `vllm` is for 0.12 and later, which dropped the older `guided_json`.
