@@ -1,7 +1,12 @@
 """dualbrain adapt: a dry run says what would teach and what not and why; an export can be read by others."""
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
@@ -141,6 +146,63 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
     )
     assert code == Exit.SETUP
     assert "none.sqlite" in capfd.readouterr().err
+
+
+WATCHER = """
+import sys
+from pathlib import Path
+from dualbrain.cli import when_idle
+from dualbrain.runtime.idleness import Machine
+from dualbrain.runtime.low_load import Pace
+
+folder = Path(sys.argv[1])
+work = "import os, sys, time\\nopen(sys.argv[1] + '/pid', 'w').write(str(os.getpid()))\\ntime.sleep(600)"
+when_idle.command = lambda *told, **more: [sys.executable, "-S", "-c", work, str(folder)]
+when_idle.look = lambda: Machine(0.0, 2, on_battery=(folder / "unplugged").exists())
+told = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "config": None, "out": folder, "json": False}
+try:
+    when_idle.adapt_when_idle(**told, pace=Pace(look=0.05, calm=0.0))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+"""`adapt --when-idle` with a fit that only sleeps; halted as soon as there is a file called unplugged."""
+
+
+def state(process):
+    """The letter that Linux has for what a process does, "" if there is none; what only waits to be buried is none."""
+    try:
+        letter = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return ""
+    return letter.replace("Z", "").replace("X", "")
+
+
+def in_time(holds):
+    """Wait until it holds; what does not hold in half a minute never does."""
+    until = time.monotonic() + 30.0
+    while not holds() and time.monotonic() < until:
+        time.sleep(0.02)
+    return holds()
+
+
+@pytest.mark.parametrize("halted", [False, True])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halted):
+    watcher, fit = subprocess.Popen([sys.executable, "-c", WATCHER, str(tmp_path)], start_new_session=True), 0
+    try:
+        assert in_time(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+        fit = int((tmp_path / "pid").read_text())
+        if halted:
+            (tmp_path / "unplugged").touch()
+            assert in_time(lambda: state(fit) == "T")
+        watcher.send_signal(end)
+        assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else Exit.INTERRUPTED)
+        assert in_time(lambda: not state(fit))
+    finally:
+        watcher.kill()
+        watcher.wait()
+        if state(fit):
+            os.kill(fit, signal.SIGKILL)
 
 
 def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatch):

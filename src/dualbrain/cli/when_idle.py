@@ -2,36 +2,47 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 from dualbrain.cli.console import Account
+from dualbrain.cli.ctrl_c import ctrl_c
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import home
 from dualbrain.cli.memory_open import ledger_path
 from dualbrain.runtime.idleness import look, robot_at_work, why_not_now
-from dualbrain.runtime.low_load import LowLoad, Pace
+from dualbrain.runtime.low_load import LowLoad, Pace, bound_to
 
 
 def adapt_when_idle(
     *, robot: str, base: str, ledger: Path | None, site: Path | None, config: Path | None, out: Path, json: bool,
     pace: Pace | None = None,
 ) -> int:  # fmt: skip
-    """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself."""
+    """Fit in `out` whenever nothing speaks against it; returns when the fit has ended by itself.
+
+    Raises `KeyboardInterrupt` on Ctrl-C and on SIGTERM; then the fit is ended, and if this is killed it ends, too.
+    """
     threads, where = _threads(config), ledger_path(ledger)
+    bound = bound_to(os.getpid())
 
     def start() -> subprocess.Popen[bytes]:
-        told = command(robot, base, ledger, site, config, out, json=json)
-        return subprocess.Popen(told, start_new_session=True)
+        words = command(robot, base, ledger, site, config, out, json=json)
+        return subprocess.Popen(words, start_new_session=True, preexec_fn=bound)  # noqa: PLW1509  (no other thread here)
 
     def why_not(own: int | None) -> str:
         at_work = robot_at_work(where, (home() / "gatekeeper.sock",), own=own)
         return why_not_now(look(), at_work, own_threads=threads if own is not None else 0)
 
-    code = LowLoad(start, why_not, Account().print, clock=time.monotonic, sleep=time.sleep, pace=pace).run()
+    with ctrl_c(_interrupted):
+        code = LowLoad(start, why_not, Account().print, clock=time.monotonic, sleep=time.sleep, pace=pace).run()
     return Exit(code) if code in set(Exit) else Exit.SETUP
+
+
+def _interrupted() -> None:
+    raise KeyboardInterrupt
 
 
 def command(

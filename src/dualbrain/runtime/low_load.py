@@ -2,17 +2,21 @@
 
 Halting (SIGSTOP) takes effect within one look, wherever the work is: the processor is free for the robot before the
 next step is over. Work that has been halted for long is killed, which frees its memory too, and begun again later: it
-must go on where it was, as a fit does.
+must go on where it was, as a fit does. It never outlives who watches it (`bound_to`): nobody would halt it any more.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+
+PR_SET_PDEATHSIG = 1
+"""What Linux calls the wish to be sent a signal when one's parent ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +36,7 @@ class LowLoad:
         tell: Callable[[str], None], *, clock: Callable[[], float], sleep: Callable[[float], None],
         pace: Pace | None = None,
     ) -> None:  # fmt: skip
-        """`start` begins the work, or goes on with it, as the leader of a process group."""
+        """`start` begins the work, or goes on with it, as the leader of a process group and `bound_to` this one."""
         self._start, self._why_not, self._tell, self._clock, self._sleep = start, why_not, tell, clock, sleep
         self._pace = pace or Pace()
         self._child: subprocess.Popen[bytes] | None = None
@@ -93,3 +97,19 @@ class LowLoad:
         if words != self._said:
             self._tell(words)
             self._said = words
+
+
+def bound_to(parent: int) -> Callable[[], None]:
+    """For `Popen(preexec_fn=...)`: from its first instruction on, the process is killed when `parent` is gone.
+
+    However `parent` ended, and also where the process is halted; it must be `parent`'s main thread that starts it.
+    """
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+
+    def bind() -> None:
+        if prctl(PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
+            raise OSError(ctypes.get_errno(), "prctl")
+        if os.getppid() != parent:  # it ended before this was said
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    return bind
