@@ -160,15 +160,11 @@ def with_ours(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
     from dualbrain.adaptation.fitting.learner import Learner  # noqa: PLC0415
     from dualbrain.adaptation.fitting.loop import Fit  # noqa: PLC0415
     from dualbrain.adaptation.fitting.precision import choose  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.taught import prepare  # noqa: PLC0415
 
     base = find_base(BASE, folders.cache())
     learner = Learner(*open_base(base, folders.cache(), choose("auto")), config.fit)
     with tempfile.TemporaryDirectory() as folder:
-        taught = prepare(learner, dataset, config.objective, base.sha256, Path(folder) / "states")
-        fit = Fit(
-            learner, taught, dataset, config, language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic
-        )
+        fit = Fit(learner, dataset, config, language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic)
         turns.ready()
         fit.run(turns.done)
 

@@ -7,14 +7,12 @@ import msgspec
 
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.dataset import Dataset, DatasetCard
-from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Fit
-from dualbrain.adaptation.fitting.taught import prepare
+from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, STATES, Fit
 from dualbrain.adaptation.fitting.team import ALONE
 from dualbrain.adaptation.sample import Sample, answer
 from tests.adaptation.tiny import DIALS, learner
 
 ANSWERS = ("grasp cup", "place", "push tin", "go home")
-STATES = "states.safetensors"
 DEFAULT = AdaptConfig(fit=DIALS)
 
 
@@ -51,12 +49,9 @@ class Bench:
     def __post_init__(self):
         self.folder.mkdir(exist_ok=True)
         self.learner = learner(self.config.fit)
-        objective = self.config.objective
-        taught = prepare(self.learner, self.data, objective, "base", self.folder / STATES, self.team)
         self.fit = Fit(
-            self.learner, taught, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock,
-            team=self.team,
-        )  # fmt: skip
+            self.learner, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock, team=self.team
+        )
 
     def run(self, tell=lambda progress: None):
         return self.fit.run(tell)

@@ -1,10 +1,13 @@
 """A fit ends as if it had never been interrupted, whatever interrupts it, and loses nothing when it cannot go on."""
 
+import hashlib
 import json
 import os
 import resource
 import signal
+from contextlib import suppress
 
+import msgspec
 import pytest
 
 from dualbrain.adaptation.config import AdaptConfig, ObjectiveDials
@@ -15,9 +18,12 @@ from dualbrain.errors import InvalidSetup
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
+from safetensors.torch import save  # noqa: E402
+
 from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
 from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
-from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, Diverged  # noqa: E402
+from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, STATES, Diverged  # noqa: E402
+from dualbrain.adaptation.fitting.stored import unpacked  # noqa: E402
 from dualbrain.adaptation.fitting.worn import worn  # noqa: E402
 from tests.adaptation.bench import Bench, dataset, dials, exactly, sample  # noqa: E402
 from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
@@ -72,6 +78,7 @@ def test_a_loss_that_is_no_number_ends_it_and_nothing_of_it_is_kept(whole, tmp_p
     with pytest.raises(Diverged, match="step 4") as caught:
         bench.run(poison)
     assert caught.value.step == 4
+    assert "another --out" in str(caught.value)
     again = Bench(tmp_path / "fit")
     assert again.fit.step == 2
     again.run()
@@ -114,6 +121,98 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InvalidSetup, match="damaged"):
         Bench(tmp_path / "fit")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"config": dials(rate=0.5)}, "fit rate 0.01, now 0.5"),
+        ({"config": AdaptConfig(fit=DIALS, objective=ObjectiveDials(beta=0.3))}, "objective beta 0.05, now 0.3"),
+        ({"data": dataset(name="b")}, "data set a, now b"),
+    ],
+)
+def test_what_is_of_another_run_is_named_before_anything_is_written(whole, tmp_path, change, words):
+    Bench(tmp_path / "fit").run()
+    with pytest.raises(InvalidSetup, match=rf"{words}.*another --out"):
+        Bench(tmp_path / "fit", **change)
+    assert Bench(tmp_path / "fit").left() == whole
+
+
+def flipped(path, where):
+    """One bit of the byte at `where`, counted from the end, turned over."""
+    data = bytearray(path.read_bytes())
+    data[-where] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("where", [1, 500, 5000])
+def test_no_flipped_bit_of_a_checkpoint_is_taken_for_a_number(tmp_path, where):
+    Bench(tmp_path / "fit").run()
+    flipped(tmp_path / "fit" / CHECKPOINT, where)
+    with pytest.raises(InvalidSetup, match=r"damaged.*checkpoint\.safetensors"):
+        Bench(tmp_path / "fit")
+
+
+def test_a_flipped_bit_of_the_base_s_states_is_computed_anew(whole, tmp_path):
+    Bench(tmp_path / "fit").run()
+    flipped(tmp_path / "fit" / STATES, 40)
+    assert Bench(tmp_path / "fit").left() == whole
+
+
+@pytest.mark.parametrize("damage", [lambda path: flipped(path, 1), lambda path: path.write_bytes(b"{"), os.unlink])
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_best_adapter_that_was_changed_is_not_worn(tmp_path, damage, finished):
+    """Not even one that was changed while the fit stood still, and that nothing better came after."""
+    config = dials(rate=1e-9, patience=9)
+
+    def stop(progress):
+        if progress.step == 4 and not finished:
+            raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt):
+        Bench(tmp_path / "fit", config=config).run(stop)
+    damage(tmp_path / "fit" / BEST)
+    with pytest.raises(InvalidSetup, match=r"damaged.*best\.safetensors"):
+        Bench(tmp_path / "fit", config=config).run()
+
+
+def test_a_best_adapter_newer_than_the_checkpoint_is_found_again(whole, tmp_path):
+    """As after a kill between the two."""
+    kept = {}
+
+    def keep(progress):
+        if progress.step == 4:
+            kept["then"] = (tmp_path / "fit" / CHECKPOINT).read_bytes()
+
+    Bench(tmp_path / "fit").run(keep)
+    (tmp_path / "fit" / CHECKPOINT).write_bytes(kept["then"])
+    bench = Bench(tmp_path / "fit")
+    assert bench.fit.step == 4
+    bench.run()
+    assert bench.left() == whole
+
+
+def test_a_checkpoint_from_before_there_were_checksums_is_taken_up(whole, tmp_path):
+    def stop(progress):
+        if progress.step == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Bench(tmp_path / "fit").run(stop)
+    path = tmp_path / "fit" / CHECKPOINT
+    tensors, facts = unpacked(path)
+    mark = json.loads(facts["mark"])
+    objective, fit = (msgspec.to_builtins(part) for part in (ObjectiveDials(), DIALS))
+    key = hashlib.sha256(msgspec.json.encode(["a", "base", "torch.float32", objective, fit])).hexdigest()[:32]
+    old = {"run": key, "step": mark["step"], "patience": mark["patience"]}
+    path.write_bytes(save(tensors, {"mark": json.dumps(old)}))
+    bench = Bench(tmp_path / "fit")
+    assert bench.fit.step == 4
+    bench.run()
+    assert bench.left() == whole
+    path.write_bytes(save(tensors, {"mark": json.dumps(old)}))
+    with pytest.raises(InvalidSetup, match="other data, dials or base', allowed"):
+        Bench(tmp_path / "fit", config=dials(rate=0.5))
 
 
 def test_samples_at_once_are_a_matter_of_memory_only(tmp_path):

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
 from dualbrain.adaptation.fitting.objective import entropy, log_probabilities
+from dualbrain.adaptation.fitting.stored import Damaged, packed, unpacked
 
 TOGETHER = 8
 """Samples in one pass."""
@@ -69,18 +68,18 @@ def keep(states: BaseStates, path: Path, key: str) -> None:
     tensors = {
         f"{name}.{what}": t for name, row in states._rows.items() for what, t in zip(("h", "H"), row, strict=True)
     }
-    write_durably(path, save({name: tensor.contiguous().cpu() for name, tensor in tensors.items()}, {"key": key}))
+    write_durably(path, packed(tensors, {"key": key}))
 
 
 def find(path: Path, key: str, device: str = "cpu") -> BaseStates | None:
-    """What `keep` wrote under the same key; None if there is nothing, or it was made of something else."""
+    """What `keep` wrote under the same key; None if there is nothing, it is damaged, or was made of something else."""
     if not path.is_file():
         return None
     try:
-        with safe_open(path, "pt", device=device) as file:
-            if (file.metadata() or {}).get("key") != key:
-                return None
-            names = {name[:-2] for name in file.keys()}  # noqa: SIM118
-            return BaseStates({name: (file.get_tensor(f"{name}.h"), file.get_tensor(f"{name}.H")) for name in names})
-    except SafetensorError:
+        tensors, facts = unpacked(path)
+    except Damaged:
         return None
+    if facts.get("key") != key:
+        return None
+    there = {name: tensor.to(device) for name, tensor in tensors.items()}
+    return BaseStates({name: (there[f"{name}.h"], there[f"{name}.H"]) for name in {name[:-2] for name in there}})

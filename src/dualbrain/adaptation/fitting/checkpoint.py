@@ -4,43 +4,74 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import msgspec
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.fitting.run import Run, difference
+from dualbrain.adaptation.fitting.stored import Damaged, packed, unpacked
 from dualbrain.adaptation.patience import Patience
 from dualbrain.errors import InvalidSetup
 
+ANEW = "Name another --out, or delete it to begin anew."
+
 
 class Mark(msgspec.Struct, frozen=True):
-    """`run` names what is being fitted (data, dials, base), `step` the last one taken, `patience` the best so far."""
+    """`run` is the key of what is being fitted, `step` the last one taken, `patience` the best so far.
+
+    `best` is the SHA-256 of the best adapter's file, `told` are the parts of the run; older marks have neither.
+    """
 
     run: str
     step: int
     patience: Patience
+    best: str = ""
+    told: dict[str, str] = {}
 
 
 def save_checkpoint(path: Path, mark: Mark, tensors: dict[str, Tensor]) -> None:
     """Write `tensors` and `mark`; raises `DiskFull`, and then the former checkpoint still stands."""
-    whole = {name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}
-    write_durably(path, save(whole, {"mark": msgspec.json.encode(mark).decode()}))
+    write_durably(path, packed(tensors, {"mark": msgspec.json.encode(mark).decode()}))
 
 
-def load_checkpoint(path: Path, run: str) -> tuple[Mark, dict[str, Tensor]] | None:
+def load_checkpoint(path: Path, run: Run) -> tuple[Mark, dict[str, Tensor]] | None:
     """The checkpoint at `path`, None if there is none; raises `InvalidSetup` if it is of another run or damaged."""
     if not path.is_file():
         return None
-    fix = f"Name another --out, or delete it to begin anew. {path}"
+    fix = f"{ANEW} {path}"
     try:
-        with safe_open(path, "pt") as file:
-            mark = msgspec.json.decode((file.metadata() or {}).get("mark", ""), type=Mark)
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, msgspec.DecodeError) as error:
+        tensors, facts = unpacked(path)
+        mark = msgspec.json.decode(facts.get("mark", ""), type=Mark)
+    except (Damaged, msgspec.DecodeError) as error:
         raise InvalidSetup("checkpoint", got=f"damaged: {error}", allowed="a whole one", fix=fix) from error
-    if mark.run != run:
-        raise InvalidSetup("checkpoint", got="one of other data, dials or base", allowed="of this run", fix=fix)
+    if mark.run != run.key:
+        apart = difference(mark.told, run.told)
+        got = "one of other data, dials or base" + (f" ({apart})" if apart else "")
+        raise InvalidSetup("checkpoint", got=got, allowed="of this run", fix=fix)
     return mark, tensors
+
+
+def save_best(path: Path, adapter: dict[str, Tensor]) -> str:
+    """Write the best adapter so far; returns the SHA-256 of the file. Raises `DiskFull`."""
+    data = save(adapter)
+    write_durably(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def load_best(path: Path, sha256: str) -> dict[str, Tensor]:
+    """The adapter that `save_best` wrote; raises `InvalidSetup` if it is not that any more ("": nobody knows)."""
+    try:
+        data = path.read_bytes()
+        if sha256 and hashlib.sha256(data).hexdigest() != sha256:
+            raise Damaged("it is not what was written")
+        return load(data)
+    except (OSError, Damaged, SafetensorError) as error:
+        fix = f"Name another --out, or delete the folder's checkpoint to begin anew. {path}"
+        raise InvalidSetup(
+            "best adapter of the fit", got=f"damaged: {error}", allowed="a whole one", fix=fix
+        ) from error

@@ -4,32 +4,29 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import torch
-from safetensors.torch import load_file, save
 
 from dualbrain.adaptation.compliance import Judge, share
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.dataset import Dataset
-from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
-from dualbrain.adaptation.fitting.checkpoint import Mark, load_checkpoint, save_checkpoint
+from dualbrain.adaptation.fitting.checkpoint import Mark, load_best, load_checkpoint, save_best, save_checkpoint
 from dualbrain.adaptation.fitting.learner import Learner
 from dualbrain.adaptation.fitting.masters import Masters
 from dualbrain.adaptation.fitting.objective import Loss, log_probabilities, objective
-from dualbrain.adaptation.fitting.taught import Taught
+from dualbrain.adaptation.fitting.run import Run
+from dualbrain.adaptation.fitting.taught import prepare
 from dualbrain.adaptation.fitting.team import ALONE, Team
 from dualbrain.adaptation.patience import HeldOut, Patience
 from dualbrain.adaptation.schedule import batches, rate
 from dualbrain.errors import DualbrainError, InvalidSetup
 
-CHECKPOINT, BEST = "checkpoint.safetensors", "best.safetensors"
+CHECKPOINT, BEST, STATES = "checkpoint.safetensors", "best.safetensors", "base_states.safetensors"
 ROOM = 1.5
 """A free answer may be this many times as long as the longest contract that was taught."""
 
@@ -42,7 +39,7 @@ class Diverged(DualbrainError):
         self.step, self.what = step, what
         super().__init__(
             f"the {what} of step {step} is not finite. Nothing of this step was kept. Lower `[fit] rate`, or set "
-            f'`precision = "float32"`.'
+            f'`precision = "float32"`, and name another --out: a folder keeps to its dials.'
         )
 
 
@@ -70,25 +67,28 @@ class Fit:
     """
 
     def __init__(
-        self, learner: Learner, taught: Taught, dataset: Dataset, config: AdaptConfig, judge: Judge, folder: Path, *,
-        base: str, clock: Callable[[], float], team: Team = ALONE,
+        self, learner: Learner, dataset: Dataset, config: AdaptConfig, judge: Judge, folder: Path, *, base: str,
+        clock: Callable[[], float], team: Team = ALONE,
     ) -> None:  # fmt: skip
         """Begin, or go on where the checkpoint in `folder` stands; `clock` [s] only tells the time left.
 
-        Raises `InvalidSetup` if a process of the team would have nothing to do.
+        `base` is the hash of what `learner` was. Raises `InvalidSetup` if a process of the team would have nothing to
+        do, for what `prepare` cannot teach, and for a checkpoint of another run; then nothing in `folder` has changed.
         """
         if config.fit.batch < team.size:
             raise InvalidSetup("fit batch", got=config.fit.batch, allowed=f"a sample for each of {team.size} processes")
-        self._learner, self._taught, self._asked = learner, taught, dataset.held_out
+        self._learner, self._asked = learner, dataset.held_out
         self._config, self._judge, self._folder, self._clock = config, judge, folder, clock
+        self._run = Run(dataset.card.hash, base, learner.numbers, config.objective, config.fit)
+        found = load_checkpoint(folder / CHECKPOINT, self._run)
+        self._taught = prepare(learner, dataset, config.objective, base, folder / STATES, team)
         self._team, self._masters = team, Masters(learner.parameters, team)
-        self._plan = batches(taught.shown, config.fit)
-        self._run = run_key(dataset, config, base, learner.numbers)
-        self.step, self.patience = 0, Patience()
-        if found := load_checkpoint(folder / CHECKPOINT, self._run):
+        self._plan = batches(self._taught.shown, config.fit)
+        self.step, self.patience, self._best = 0, Patience(), ""
+        if found:
             mark, tensors = found
             self._masters.load(tensors)
-            self.step, self.patience = mark.step, mark.patience
+            self.step, self.patience, self._best = mark.step, mark.patience, mark.best
 
     @property
     def finished(self) -> bool:
@@ -98,7 +98,7 @@ class Fit:
     def run(self, tell: Callable[[Progress], None] = lambda progress: None) -> HeldOut | None:
         """Take all steps that are left and wear the best adapter; returns its held-out result, None without that part.
 
-        Raises `Diverged`, `DiskFull`.
+        Raises `Diverged`, `DiskFull`, and `InvalidSetup` if the best is not any more what it was when it was examined.
         """
         dials, first, began = self._config.fit, self.step, self._clock()
         while not self.finished:
@@ -112,7 +112,7 @@ class Fit:
             pace = (self._clock() - began) / (self.step - first)
             left = pace * (dials.steps - self.step)
             tell(Progress(self.step, dials.steps, cross_entropy, divergence, left, found))
-        self._learner.wear(load_file(self._folder / BEST))
+        self._learner.wear(load_best(self._folder / BEST, self._best))
         return self.patience.best
 
     def _learn(self, step: int) -> tuple[float, float]:
@@ -162,12 +162,12 @@ class Fit:
                 raise Diverged(self.step, f"held-out loss ({found.loss})")
             self.patience = Patience(found) if self._config.fit.keep == "last" else self.patience.after(found)
         if found is None or self.patience.best == found:
-            self._team.once(lambda: write_durably(self._folder / BEST, save(self._learner.adapter())))
+            self._best = self._team.once(lambda: save_best(self._folder / BEST, self._learner.adapter()))
         return found
 
     def _save(self) -> None:
         """Write the checkpoint."""
-        mark = Mark(self._run, self.step, self.patience)
+        mark = Mark(self._run.key, self.step, self.patience, self._best, self._run.told)
         save_checkpoint(self._folder / CHECKPOINT, mark, self._masters.state())
 
     def _compliance(self) -> float | None:
@@ -196,9 +196,3 @@ class Fit:
             total -= float(log_p.gather(1, labels[:, None]).sum())
             tokens += len(labels)
         return total / tokens
-
-
-def run_key(dataset: Dataset, config: AdaptConfig, base: str, numbers: str) -> str:
-    """A name for everything that decides the result of a fit: data, objective, dials, base and number format."""
-    told = [dataset.card.hash, base, numbers, msgspec.to_builtins(config.objective), msgspec.to_builtins(config.fit)]
-    return hashlib.sha256(msgspec.json.encode(told)).hexdigest()[:32]

@@ -22,11 +22,10 @@ from dualbrain.adaptation.fitting.device import settle
 from dualbrain.adaptation.fitting.learner import Learner
 from dualbrain.adaptation.fitting.loop import Fit, Progress
 from dualbrain.adaptation.fitting.precision import choose
-from dualbrain.adaptation.fitting.taught import prepare
 from dualbrain.adaptation.fitting.team import ALONE, Team
 from dualbrain.adaptation.patience import HeldOut
 
-ADAPTER, STATES, RESOLVED = "adapter", "base_states.safetensors", "config.json"
+ADAPTER, RESOLVED = "adapter", "config.json"
 
 
 def adapt(
@@ -39,20 +38,24 @@ def adapt(
     Raises `InvalidSetup`, `Diverged`, `DiskFull`; then no adapter is written, and calling it again goes on.
     """
     device = settle(config.fit.threads or 1)
-    team.once(lambda: _begin(config, base, folder, cache))
+    team.once(lambda: _begin(base, folder, cache))
     nf4 = config.fit.quantise == "nf4"
     model, tokenizer = open_base(base, cache, choose(config.fit.precision), device, nf4=nf4)
     learner = Learner(model, tokenizer, config.fit)
-    taught = prepare(learner, dataset, config.objective, base.sha256, folder / STATES, team)
-    fit = Fit(learner, taught, dataset, config, judge, folder, base=base.sha256, clock=clock, team=team)
+    fit = Fit(learner, dataset, config, judge, folder, base=base.sha256, clock=clock, team=team)
+    team.once(lambda: _resolve(config, folder))
     found = fit.run(tell)
     return team.once(lambda: _write(learner, dataset.card, config, base, folder, fit.step, found))
 
 
-def _begin(config: AdaptConfig, base: Base, folder: Path, cache: Path) -> None:
-    """Make the base ready for torch, and write beside the result what was asked."""
+def _begin(base: Base, folder: Path, cache: Path) -> None:
+    """Make the base ready for torch, and room for what comes."""
     dequantised(base, cache)
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def _resolve(config: AdaptConfig, folder: Path) -> None:
+    """Write beside the result what was asked."""
     write_durably(folder / RESOLVED, msgspec.json.format(msgspec.json.encode(config), indent=2))
 
 
