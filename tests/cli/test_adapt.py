@@ -17,14 +17,15 @@ from dualbrain.adaptation.fitting.team import ALONE
 from dualbrain.cli import adapt as command
 from dualbrain.cli import launcher, when_idle
 from dualbrain.cli.exits import Exit
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.memory.compact import swap
 from dualbrain.memory.events import ADAPTER, AdapterUse
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.runtime.idleness import Machine
 from dualbrain.runtime.low_load import Pace
 from dualbrain.runtime.vocabulary import vocabulary_at
-from tests.adaptation.episodes import CONFIG, episode, remember, several, summary
+from tests.adaptation.episodes import CONFIG, NOW, episode, remember, several, summary
 
 
 @pytest.fixture
@@ -121,6 +122,78 @@ def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
     code, _, err = tell("adapt", "--out", "fit")
     assert code == Exit.SETUP
     assert "The vocabulary has changed" in err
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def no_torch(monkeypatch):
+    """A fit that is let in ends where it would begin."""
+
+    def refuse():
+        raise MissingPart("torch", fix="")
+
+    monkeypatch.setattr(command, "adapt_with_torch", refuse)
+
+
+@pytest.mark.parametrize(
+    ("dials", "words"),
+    [
+        ("[curation.rules]\nepsilon = 0.002", "epsilon 0.003, now 0.002"),
+        ("[curation.rules]\nslowest = 2.0", "slowest 1.5, now 2.0"),
+        ("[curation.rules]\nphysical = false", "physical True, now False"),
+        ("[curation]\nmost_repeats = 2", "most_repeats 4, now 2"),
+        ("[curation]\nheld_out = 0.5", "held_out 0.2, now 0.5"),
+        ('[curation]\nsalt = "x"', "salt dualbrain, now x"),
+    ],
+)
+def test_other_dials_of_curation_are_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path, dials, words):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    (tmp_path / "dials.toml").write_text(dials)
+    code, _, err = tell("adapt", "--out", "fit", "--config", "dials.toml")
+    assert code == Exit.SETUP
+    assert words in err
+    assert "another --out" in err
+    assert contents(tmp_path / "fit") == before
+
+
+def test_another_ledger_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    (tmp_path / "other").mkdir()
+    remember(tmp_path / "other", several(12)).close()
+    code, _, err = tell("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
+    assert code == Exit.SETUP
+    assert "ledger of the data set in fit: got 'other/ledger.sqlite'" in err
+    assert "another --out" in err
+    assert contents(tmp_path / "fit") == before
+
+
+def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_torch, tmp_path):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    remember(tmp_path, [episode("later", told=summary(number=55))]).close()
+    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    for _ in range(2):
+        swap(ledger, holder="a test", now=NOW, patience=1.0)
+        assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    for archive in tmp_path.glob("*.archive-*"):
+        archive.unlink()
+    assert "ledger of the data set in fit" in tell("adapt", "--out", "fit")[2]
+    assert contents(tmp_path / "fit") == before
+
+
+def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, tmp_path):
+    """It does not tell whether anything was selected by what came of it."""
+    tell("adapt", "--out", "fit")
+    path = tmp_path / "fit" / "dataset" / CARD
+    card = json.loads(path.read_text())
+    del card["physical"]
+    path.write_text(json.dumps(card))
+    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
 
 
 def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):

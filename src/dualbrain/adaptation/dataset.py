@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.adaptation.apart import apart
 from dualbrain.adaptation.curate import Curated, Curation
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.sample import Sample, from_lines, to_lines
@@ -26,6 +27,7 @@ class DatasetCard(msgspec.Struct, frozen=True):
     `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
     `merged` those that a near-duplicate stands for. `sources` counts the samples by who proposed them. `prompt` is the
     hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots in it, by name.
+    The rest are the dials of curation; older cards do not tell `physical`.
     """
 
     hash: str
@@ -49,6 +51,7 @@ class DatasetCard(msgspec.Struct, frozen=True):
     share_held_out: float
     salt: str
     also: dict[str, str] = {}
+    physical: bool | None = None
 
 
 class Dataset(msgspec.Struct, frozen=True):
@@ -69,9 +72,19 @@ def dataset_of(curated: Curated, registry: Registry, dials: Curation) -> Dataset
         len({row.scene for row in rows}), curated.merged,
         {reason: len(names) for reason, names in curated.left_out.items()},
         dict(sorted(Counter(row.source for row in rows).items())), dials.rules.epsilon, dials.rules.slowest,
-        dials.most_repeats, dials.held_out, dials.salt,
+        dials.most_repeats, dials.held_out, dials.salt, physical=dials.rules.physical,
     )  # fmt: skip
     return Dataset(card, curated.train, curated.held_out)
+
+
+def other_dials(card: DatasetCard, dials: Curation) -> str:
+    """In which dials of curation the data set of `card` was made otherwise than by `dials`; "" if in none."""
+    rules, made = dials.rules, {"epsilon": card.epsilon, "slowest": card.slowest, "most_repeats": card.most_repeats}
+    made |= {"held_out": card.share_held_out, "salt": card.salt}
+    if card.physical is not None:
+        made["physical"] = card.physical
+    here = {"epsilon": rules.epsilon, "slowest": rules.slowest, "physical": rules.physical}
+    return apart(made, here | {"most_repeats": dials.most_repeats, "held_out": dials.held_out, "salt": dials.salt})
 
 
 def dataset_hash(train: bytes, held_out: bytes) -> str:

@@ -95,13 +95,32 @@ def _only_choose(
 
 
 def _choose(ledger: Path | None, registry: Any, there: Any, dials: Any, folder: Path) -> None:
-    """Write the data set into `folder`, unless it is there already."""
-    from dualbrain.adaptation.dataset import write_dataset
+    """Write the data set into `folder`, unless it is there already, of this ledger and by these dials."""
+    from dualbrain.adaptation.dataset import read_card, write_dataset
 
     if (folder / DATASET / "dataset.json").is_file():
+        _require_same(read_card(folder / DATASET), dials, folder, ledger)
         Account().print(f"going on with the data set in {folder}")
     else:
         write_dataset(_chosen(ledger, registry, there, dials, json=False), folder / DATASET)
+
+
+def _require_same(card: Any, dials: Any, folder: Path, ledger: Path | None) -> None:
+    """Raise `InvalidSetup` if the data set of `card` was chosen by other dials, or from another ledger."""
+    from dualbrain.adaptation.dataset import other_dials
+    from dualbrain.memory.ancestry import goes_on_from
+    from dualbrain.memory.chain import Head
+
+    if others := other_dials(card, dials.curation):
+        fix = "Name another --out to choose anew, or the dials of before to go on."
+        raise InvalidSetup(
+            f"[curation] of the data set in {folder}", got=others, allowed="what it was made by", fix=fix
+        )
+    with reader(ledger) as opened:
+        if not goes_on_from(opened, Head(card.event, card.ledger)):
+            allowed = f"the one whose event {card.event} is {card.ledger[:16]}"
+            fix = "Name another --out to choose anew, or with --ledger the memory of before to go on."
+            raise InvalidSetup(f"ledger of the data set in {folder}", got=str(opened.path), allowed=allowed, fix=fix)
 
 
 def _chosen(ledger: Path | None, registry: Any, there: Any, dials: Any, *, json: bool) -> Any:

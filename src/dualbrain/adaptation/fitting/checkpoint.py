@@ -12,8 +12,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
+from dualbrain.adaptation.apart import apart
 from dualbrain.adaptation.durable import write_durably
-from dualbrain.adaptation.fitting.run import Run, difference
+from dualbrain.adaptation.fitting.run import Run
 from dualbrain.adaptation.fitting.stored import Damaged, packed, unpacked
 from dualbrain.adaptation.patience import Patience
 from dualbrain.errors import InvalidSetup
@@ -50,8 +51,8 @@ def load_checkpoint(path: Path, run: Run) -> tuple[Mark, dict[str, Tensor]] | No
     except (Damaged, msgspec.DecodeError) as error:
         raise InvalidSetup("checkpoint", got=f"damaged: {error}", allowed="a whole one", fix=fix) from error
     if mark.run != run.key:
-        apart = difference(mark.told, run.told)
-        got = "one of other data, dials or base" + (f" ({apart})" if apart else "")
+        parts = apart(mark.told, run.told)
+        got = "one of other data, dials or base" + (f" ({parts})" if parts else "")
         raise InvalidSetup("checkpoint", got=got, allowed="of this run", fix=fix)
     return mark, tensors
 

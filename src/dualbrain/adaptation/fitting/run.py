@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 
 import msgspec
 
@@ -31,9 +30,3 @@ class Run(msgspec.Struct, frozen=True):
         dials = {"objective": msgspec.to_builtins(self.objective), "fit": msgspec.to_builtins(self.fit)}
         parts = {"data set": self.data[:16], "base": self.base[:16], "numbers": self.numbers}
         return parts | {f"{room} {name}": str(value) for room, some in dials.items() for name, value in some.items()}
-
-
-def difference(there: Mapping[str, str], here: Mapping[str, str]) -> str:
-    """Each part of which both tell, and not the same; "" if there is none."""
-    apart = {name: (value, here[name]) for name, value in there.items() if here.get(name, value) != value}
-    return "; ".join(f"{name} {theirs}, now {ours}" for name, (theirs, ours) in apart.items())
