@@ -8,7 +8,8 @@ from pathlib import Path
 from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.weights import find_file, locate
+from dualbrain.errors import UnknownName
+from dualbrain.weights import MANIFEST, find_file, locate
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +34,13 @@ def hash_of_base(name: str) -> str:
 
 
 def find_base(name: str, cache: Path) -> Base:
-    """The base called `name`, a model of the manifest or a packaged adapter; every file found to be as it is named.
+    """The base called `name`, a language model of the manifest or a packaged adapter; every file as it is named.
 
     Raises `UnknownName`, `MissingPart`, `WrongHash`, `InvalidSetup`.
     """
     if name not in packaged_names():
+        if name not in (models := tuple(file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))):
+            raise UnknownName("base", name, (*models, *packaged_names()))
         return Base(name, locate(name, cache), find_file(name).sha256)
     stack = stack_of(packaged_folder(name), cache)
     folders = tuple(layer.folder for layer in stack.layers)

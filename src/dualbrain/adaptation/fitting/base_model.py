@@ -4,20 +4,17 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import torch
 from transformers import AutoModelForCausalLM, AutoTokenizer
-from transformers.utils import logging
 
 from dualbrain.adaptation.bases import Base
-from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.adaptation.fitting.dequantised import dequantised
 from dualbrain.adaptation.fitting.quantised import quantise
 from dualbrain.adaptation.serving.peft_lora import Pair, read_lora
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import InvalidSetup
 
 
 def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu", *, nf4: bool = False) -> tuple[Any, Any]:
@@ -45,52 +42,9 @@ def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu", *, nf4: 
     return model.to(device).eval().requires_grad_(False), tokenizer
 
 
-def dequantised(base: Base, cache: Path) -> Path:
-    """The folder in `cache` that holds `base` without what it wears, in float32; made the first time, 4 bytes a number.
-
-    Block scales times quanta, as llama.cpp does it.
-    """
-    logging.disable_progress_bar()  # our own progress is told line by line
-    folder = cache / "torch" / base.gguf_sha256[:32]
-    if not folder.is_dir():
-        _dequantise(base.gguf, folder)
-    return folder
-
-
 @torch.no_grad()
 def merge(model: Any, lora: dict[str, Pair]) -> None:
     """W ← W + BA for each layer that `lora` names (the scale stands in B already), in the numbers of the model."""
     for name, pair in lora.items():
         weight = model.get_submodule(name).weight
         weight += (torch.from_numpy(pair.b) @ torch.from_numpy(pair.a)).to(weight.dtype)
-
-
-def _dequantise(gguf: Path, folder: Path) -> None:
-    """Write the model as safetensors with its tokenizer, whole or not at all."""
-    if not gguf.is_file():
-        raise MissingPart(f"The model file {gguf.name!r}", fix=f"Get it with `dualbrain models fetch`. {gguf}")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".dequantised-"))
-    try:
-        packed = AutoModelForCausalLM.from_pretrained(gguf.parent, gguf_file=gguf.name, dtype=torch.float32)
-        told = {k: v for k, v in packed.config.to_dict().items() if k not in ("quantization_config", "_name_or_path")}
-        plain = type(packed)(type(packed.config)(**told))
-        plain.load_state_dict(packed.state_dict(), strict=False)
-        plain.tie_weights()
-        plain.save_pretrained(beside, safe_serialization=True)
-        AutoTokenizer.from_pretrained(gguf.parent, gguf_file=gguf.name).save_pretrained(beside)
-        _settle(beside, folder)
-        sync_folder(folder.parent)
-    except OSError as error:
-        raise DiskFull(folder, error.strerror or str(error)) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-
-
-def _settle(beside: Path, folder: Path) -> None:
-    """Give `beside` its name, unless another process was quicker: it made the same."""
-    try:
-        beside.rename(folder)
-    except OSError:
-        if not folder.is_dir():
-            raise

@@ -17,7 +17,7 @@ from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.dataset import Dataset, DatasetCard
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.fitting.adapter_folder import write_adapter
-from dualbrain.adaptation.fitting.base_model import dequantised, open_base
+from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.device import settle
 from dualbrain.adaptation.fitting.learner import Learner
 from dualbrain.adaptation.fitting.loop import Fit, Progress
@@ -38,7 +38,7 @@ def adapt(
     Raises `InvalidSetup`, `Diverged`, `DiskFull`; then no adapter is written, and calling it again goes on.
     """
     device = settle(config.fit.threads or 1)
-    team.once(lambda: _begin(base, folder, cache))
+    team.once(lambda: folder.mkdir(parents=True, exist_ok=True))
     nf4 = config.fit.quantise == "nf4"
     model, tokenizer = open_base(base, cache, choose(config.fit.precision), device, nf4=nf4)
     learner = Learner(model, tokenizer, config.fit)
@@ -46,12 +46,6 @@ def adapt(
     team.once(lambda: _resolve(config, folder))
     found = fit.run(tell)
     return team.once(lambda: _write(learner, dataset.card, config, base, folder, fit.step, found))
-
-
-def _begin(base: Base, folder: Path, cache: Path) -> None:
-    """Make the base ready for torch, and room for what comes."""
-    dequantised(base, cache)
-    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _resolve(config: AdaptConfig, folder: Path) -> None:
