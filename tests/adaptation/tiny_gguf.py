@@ -1,5 +1,7 @@
 """A tiny random model in torch and, with the same weights, as GGUF: what both compute can be compared."""
 
+import sys
+
 import gguf
 import numpy as np
 import torch
@@ -82,6 +84,24 @@ def _add_tokenizer(writer):
     writer.add_pad_token_id(257)
     writer.add_add_bos_token(value=False)
     writer.add_chat_template(TEMPLATE)
+
+
+class WithMerge:
+    """The tiny words, the last of which is what the one merge in the file makes: transformers wants it to be there."""
+
+    def __init__(self, words):
+        self._words = words
+
+    def get_vocab(self):
+        vocabulary = self._words.get_vocab()
+        last = next(token for token, number in vocabulary.items() if number == 255)
+        return {("Āā" if token == last else token): number for token, number in vocabulary.items()}
+
+
+def read_by_transformers(patch):
+    """From now on such files are written that transformers reads, too."""
+    plain = tokenizer
+    patch.setattr(sys.modules[__name__], "tokenizer", lambda: WithMerge(plain()))
 
 
 def fitted(made, folder, dtype=torch.float32, seed=5, size=0.1, **changed):
