@@ -5,7 +5,8 @@
 Each lives in a process of its own, so that its memory is its own; they take turns, one step each, in an order that
 rotates, so that they share whatever else the machine does. A step is counted in processor seconds (user and system):
 on a machine that others use too, these and their ratios mean something, wall time does not. The first two steps of
-each are not counted. TRL comes from an environment of its own (`--trl`), for its needs are not ours.
+each are not counted. TRL comes from an environment of its own (`--trl`), for its needs are not ours;
+benchmarks/trl/requirements.txt says how to make it.
 """
 
 from __future__ import annotations

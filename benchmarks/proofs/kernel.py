@@ -27,7 +27,7 @@ PYTEST = [
 
 
 class Kernel:
-    """The proofs that pytest holds: marker `slow`."""
+    """The proofs that pytest holds: marker `slow`. What needs a package that is not installed here (TRL) is no unit."""
 
     name = "kernel"
     claim = (
