@@ -73,4 +73,7 @@ def test_a_sound_answer_is_what_the_gate_accepts_and_no_refusal(tmp_path):
     ):
         assert not judge(text, rows[0])
     assert judge(good, rows[0])
+    last = msgspec.json.decode(good)["action_sequence"][-1:]  # to place with an empty hand: the body would refuse it
+    unheld = msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": last}).decode()
+    assert judge(unheld, rows[0])
     assert share(judge, [good, "{", good], rows) == pytest.approx(2 / 3)

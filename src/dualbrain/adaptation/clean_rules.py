@@ -51,10 +51,11 @@ def select(
 ) -> tuple[list[Candidate], dict[str, list[str]]]:
     """The episodes of D_clean in their order, and the ids of all others by the reason that excludes them.
 
-    Every contract is judged again by today's gate, so that what is taught is what is accepted now. The verdict r is the
-    robot's own; simulator truth is not in the ledger. A decline has no r: those that are named in `declines` are let in
-    on the word of whoever asked. With `site`, which only narrows `registry`, episodes of either may teach what its gate
-    accepts.
+    Every contract is judged again by today's gate: syntax, authorization, and of the envelope the bounds and names. The
+    rules that need the scene's geometry and the body (`runtime/rules.py`) are not asked again: the whole gate accepted
+    the contract before it was flown, and r is the body's own word. Simulator truth is not in the ledger. A decline has
+    no r: those that are named in `declines` are let in on the word of whoever asked. With `site`, which only narrows
+    `registry`, episodes of either may teach what its gate accepts.
     """
     here = site or registry
     gate, known = Gate(here, {PRINCIPAL: frozenset(here.by_name)}), (registry.hash, here.hash)

@@ -14,9 +14,11 @@ Judge = Callable[[str, Sample], bool]
 
 
 def gate_judge(registry: Registry) -> Judge:
-    """Accepts what all three stages accept in the sample's scene; a declined task is no compliant answer here.
+    """Accepts what syntax, authorization, bounds and the scene's names allow; to decline is no compliant answer here.
 
-    Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting.
+    Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting. The
+    envelope's rules on geometry and body (order of the hand, opening, reach, free floor: `runtime/rules.py`) are not
+    asked, for a sample holds neither; they are where a contract is carried out, and in the proofs `language`, `rounds`.
     """
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
 

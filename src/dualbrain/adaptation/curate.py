@@ -62,9 +62,10 @@ def curate(
     are named in `declines` (ids of memories), by whoever asked for what cannot be done and knew it. `site` is the
     vocabulary where a site file narrows that of the robot: what was done there teaches too, in the robot's own words.
 
-    Promise: no scene is on both sides (see `scene_groups`), every completion is accepted by today's gate in its scene,
-    every sample leads back to its events. A rollback, a quarantine or a forgotten memory changes what it finds: always
-    curate anew. Raises `InvalidSetup` if nothing is left or `site` is another vocabulary, `DamagedLedger`.
+    Promise: no scene is on both sides (see `scene_groups`), every completion is accepted by today's gate (`select` says
+    what of it), every sample leads back to its events. A rollback, a quarantine or a forgotten memory changes what it
+    finds: always curate anew. Raises `InvalidSetup` if nothing is left or `site` is another vocabulary,
+    `DamagedLedger`.
     """
     if site is not None and not narrows(site, registry):
         raise InvalidSetup("vocabulary of the site", got=site.hash, allowed=f"one that only narrows {registry.hash}")

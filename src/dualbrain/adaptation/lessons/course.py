@@ -43,7 +43,10 @@ def course(taught: Sequence[Sample], asked: Sequence[Sample], registries: Mappin
 
 
 def language_judge(registries: Mapping[str, Registry]) -> Judge:
-    """Accepts what the gate of the sample's robot accepts, and a refusal exactly where the sample refuses."""
+    """Accepts what the gate of the sample's robot accepts, and a refusal exactly where the sample refuses.
+
+    Without the rules on geometry and body, as `gate_judge`; no lesson was drawn that the whole gate refuses.
+    """
     gates = {
         name: Gate(registry, {"planner": frozenset(registry.by_name)}) for name, registry in registries.items()
     }  # fmt: skip

@@ -16,7 +16,7 @@ SAID = frozenset({("hold", "duration"), ("turn_to", "heading")})
 
 
 class Score(msgspec.Struct, frozen=True):
-    """One answer. `compliant`: accepted by all three stages, and declined exactly where the instruction is impossible.
+    """One answer. `compliant`: accepted by whoever judges, and declined exactly where the instruction is impossible.
 
     `skills`: the wanted skills in the wanted order. `named`: the right things and places in them, and numbers as said.
     """

@@ -55,7 +55,9 @@ def measure(
 ) -> Results:  # fmt: skip
     """One free greedy answer to each question, judged by gate, by the contract that did it, and by `fly`.
 
-    Declining complies only where the contract that is known to be right declines. Raises `NoAnswer`.
+    Declining complies only where the contract that is known to be right declines. Of the envelope only bounds and names
+    are asked, as in `gate_judge`: what geometry and body refuse counts as compliant, and `fly`, which stands behind the
+    whole gate, tells it as no success. Raises `NoAnswer`.
     """
     gate, trials = Gate(registry, {"planner": frozenset(registry.by_name)}), list[Trial]()
     for number, sample in enumerate(asked, start=1):
