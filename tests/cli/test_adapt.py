@@ -232,7 +232,8 @@ folder = Path(sys.argv[1])
 work = "import os, sys, time\\nopen(sys.argv[1] + '/pid', 'w').write(str(os.getpid()))\\ntime.sleep(600)"
 when_idle.command = lambda *told, **more: [sys.executable, "-S", "-c", work, str(folder)]
 when_idle.look = lambda: Machine(0.0, 2, on_battery=(folder / "unplugged").exists())
-told = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "config": None, "out": folder, "json": False}
+told = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "site": None, "config": None}
+told |= {"out": folder, "json": False}
 try:
     when_idle.adapt_when_idle(**told, pace=Pace(look=0.05, calm=0.0))
 except KeyboardInterrupt:
