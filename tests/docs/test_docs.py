@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.cli.adapt import adapt
-from dualbrain.cli.adapters import history, list_adapters, verify
+from dualbrain.cli.adapters import history, list_adapters, promote, rollback, verify
 from dualbrain.cli.adapters_export import diff, export
 from dualbrain.cli.adapters_make import make
 from dualbrain.cli.adapters_measure import measure
@@ -142,7 +142,9 @@ def test_the_page_of_commands_knows_every_option(command):
     assert options <= set(re.findall(r"--\w+", section))
 
 
-@pytest.mark.parametrize("command", [plan, adapt, list_adapters, history, verify, measure, diff, export, make])
+@pytest.mark.parametrize(
+    "command", [plan, adapt, list_adapters, history, verify, measure, promote, rollback, diff, export, make]
+)
 def test_the_usage_of_what_plans_and_learns_has_every_option(command):
     page = (ROOT / "docs" / "commands.md").read_text("utf-8")
     name = command.__name__.removesuffix("_adapters")
@@ -151,4 +153,4 @@ def test_the_usage_of_what_plans_and_learns_has_every_option(command):
     usage = next(one for one in usages if re.match(rf"(dualbrain )?(adapters )?{name} .*--", one))
     for one in inspect.signature(command).parameters.values():
         if one.kind is one.KEYWORD_ONLY:
-            assert f"--{one.name.replace('_', '-')}" in usage
+            assert f"--{'no-' * (one.default is True)}{one.name.replace('_', '-')}" in usage
