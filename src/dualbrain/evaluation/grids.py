@@ -183,6 +183,6 @@ def throughput(rows: Sequence[Row]) -> Grid:
         "Throughput",
         head,
         tuple(lines),
-        "wall time on the machine that flew, whatever else ran there; what was alike in every input was flown once, and "
-        "what was asked beforehand stands under decisions",
+        "wall time on the machine that flew, whatever else ran there; what was alike in every input was flown "
+        "once, and what was asked beforehand stands under decisions",
     )
