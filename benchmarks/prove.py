@@ -5,8 +5,8 @@
 What is finished is skipped, so a run that was stopped (or killed) goes on where it was. Progress goes to stderr, tables
 to stdout; `--write-docs` renders them into docs/proofs.md, and the sweep into docs/learnable.md and its plot.
 
-`--keep` copies a journal to benchmarks/journals, where it is committed: a proof of hours goes on from there in another
-checkout, and its figures can be counted again. `--fresh` forgets it.
+`--keep` packs a journal into benchmarks/journals, where it is committed: a proof of hours goes on from there in another
+checkout, and its figures can be counted again (`xzcat` shows it). `--fresh` forgets it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> int:
     names = asked.names or list(PROOFS)
     whole = True
     for name in names:
-        journal, kept = Journal(asked.folder / f"{name}.jsonl"), KEPT / f"{name}.jsonl"
+        journal, kept = Journal(asked.folder / f"{name}.jsonl"), KEPT / f"{name}.jsonl.xz"
         if not asked.fresh:
             journal.begin_with(kept)
         if not asked.tables:

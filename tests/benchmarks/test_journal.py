@@ -1,4 +1,5 @@
 import json
+import lzma
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -39,14 +40,14 @@ def test_no_file_means_nothing_done(tmp_path):
 
 
 def test_a_kept_journal_is_where_another_checkout_begins(tmp_path):
-    journal, kept = Journal(tmp_path / "here" / "a.jsonl"), tmp_path / "kept" / "a.jsonl"
+    journal, kept = Journal(tmp_path / "here" / "a.jsonl"), tmp_path / "kept" / "a.jsonl.xz"
     journal.begin_with(kept)
     assert journal.rows() == []
     journal.append({"key": "a", "value": 1})
     journal.append({"key": "b", "error": "broke"})
     journal.append({"key": "a", "value": 2})
     journal.copy_to(kept)
-    assert len(kept.read_text().splitlines()) == 2
+    assert len(lzma.decompress(kept.read_bytes()).splitlines()) == 2
     elsewhere = Journal(tmp_path / "there" / "a.jsonl")
     elsewhere.begin_with(kept)
     assert elsewhere.rows() == journal.rows()
