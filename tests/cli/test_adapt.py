@@ -172,6 +172,21 @@ def test_another_ledger_is_refused_where_a_data_set_lies(tell, ledger, no_torch,
     assert contents(tmp_path / "fit") == before
 
 
+def test_another_site_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
+    (tmp_path / "lab.toml").write_text("[robot]\ntool_speed = 0.25\n")
+    tell("adapt", "--out", "here")
+    tell("adapt", "--out", "there", "--site", "lab.toml")
+    there = ("--site", "lab.toml")
+    for folder, same, other in (("here", (), there), ("there", there, ())):
+        assert f"going on with the data set in {folder}" in tell("adapt", "--out", folder, *same)[2]
+        before = contents(tmp_path / folder)
+        code, _, err = tell("adapt", "--out", folder, *other)
+        assert code == Exit.SETUP
+        assert f"site of the data set in {folder}" in err
+        assert "another --out" in err
+        assert contents(tmp_path / folder) == before
+
+
 def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_torch, tmp_path):
     tell("adapt", "--out", "fit")
     before = contents(tmp_path / "fit")

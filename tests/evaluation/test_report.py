@@ -302,6 +302,27 @@ def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
     assert call(asked) == 5
 
 
+@pytest.mark.parametrize(
+    ("more", "missing"),
+    [
+        (("--suite", "smoke"), "minilm-l6-v2-int8"),
+        (("--suite", "smoke", "--methods", "B1", "--planner", "qwen2.5-coder-1.5b-instruct"), "qwen2.5-coder-1.5b"),
+        (("--suite", "smoke", "--methods", "B1", "--planner", "transformers:base-135m"), "smollm2-135m-instruct"),
+        (("--suite", "smoke", "--methods", "P", "--planner", "adapted=adapter:aa"), "adapter"),
+    ],
+)
+def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown(
+    tmp_path, capsys, monkeypatch, more, missing
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    assert call(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
+    said = capsys.readouterr().err
+    assert missing in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "x" / "config.json").exists()
+
+
 def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert call(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
@@ -310,6 +331,17 @@ def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, c
     assert "cameras of B3-depth" in said
     assert "apt-get install" in said
     assert not (tmp_path / "x").exists()
+
+
+def test_who_interrupts_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "_passes", interrupted)
+    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
+    said = capsys.readouterr().err
+    assert "the same command goes on" in said
+    assert "dualbrain: interrupted" in said
 
 
 @pytest.mark.parametrize(("broken", "done"), [("plan", STAGES), ("pilot", ("pilot",)), ("", STAGES)])

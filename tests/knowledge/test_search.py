@@ -15,7 +15,7 @@ from dualbrain.knowledge.shipped import add_shipped
 from dualbrain.memory.encoder import MiniLmEncoder
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.runtime.consulting import Budget
-from dualbrain.weights import default_cache, locate
+from dualbrain.weights import default_cache
 from tests.knowledge.questions import BESIDE_THE_POINT, QUESTIONS, place
 
 scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)
@@ -76,7 +76,7 @@ def test_every_question_names_places_that_are_there(shipped: Library) -> None:
 def understood(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
     """The shipped documents, by the real encoder."""
     cache = default_cache(os.environ)
-    encoder = MiniLmEncoder(locate("minilm-l6-v2-int8", cache), locate("minilm-l6-v2-tokenizer", cache))
+    encoder = MiniLmEncoder.fetched(cache)
     with Library(tmp_path_factory.mktemp("understood") / "k.sqlite", encoder, write=True) as opened:
         add_shipped(opened, now=1.0)
         yield opened

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dualbrain.errors import MissingPart
 from dualbrain.memory.encoder import Encoder, MiniLmEncoder
 from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.weights import default_cache, locate
+from dualbrain.weights import default_cache
 
 AWKWARD = ("", " ", "\x00", "a" * 5000, "红色方块放进碗里", "💥" * 300, "\u202e\u200b", "[MASK] [SEP] [PAD]")
 
@@ -19,7 +19,7 @@ AWKWARD = ("", " ", "\x00", "a" * 5000, "红色方块放进碗里", "💥" * 300
 @pytest.fixture(scope="module")
 def minilm() -> MiniLmEncoder:
     cache = default_cache(os.environ)
-    return MiniLmEncoder(locate("minilm-l6-v2-int8", cache), locate("minilm-l6-v2-tokenizer", cache))
+    return MiniLmEncoder.fetched(cache)
 
 
 def _check_rows(encoder: Encoder, texts: list[str]) -> None:

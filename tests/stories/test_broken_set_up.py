@@ -15,8 +15,9 @@ from dualbrain import weights
 from dualbrain.cli.folders import cache
 from dualbrain.cli.main import call
 from dualbrain.errors import InvalidSetup
+from dualbrain.memory.encoder import ENCODER, TOKENIZER
 from dualbrain.memory.ledger import Ledger
-from dualbrain.runtime.session import ENCODER, FILES, TOKENIZER
+from dualbrain.runtime.session import FILES
 from dualbrain.world.catalogue import open_scene
 from dualbrain.world.scene_spec import save_scene
 

@@ -27,7 +27,8 @@ class DatasetCard(msgspec.Struct, frozen=True):
     `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
     `merged` those that a near-duplicate stands for. `sources` counts the samples by who proposed them. `prompt` is the
     hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots in it, by name.
-    The rest are the dials of curation; older cards do not tell `physical`.
+    `site` is the hash of that vocabulary as it is at a site, "" where none was named. The rest are the dials of
+    curation; older cards do not tell `physical`.
     """
 
     hash: str
@@ -52,6 +53,7 @@ class DatasetCard(msgspec.Struct, frozen=True):
     salt: str
     also: dict[str, str] = {}
     physical: bool | None = None
+    site: str = ""
 
 
 class Dataset(msgspec.Struct, frozen=True):
@@ -62,8 +64,8 @@ class Dataset(msgspec.Struct, frozen=True):
     held_out: tuple[Sample, ...]
 
 
-def dataset_of(curated: Curated, registry: Registry, dials: Curation) -> Dataset:
-    """The data set with its card."""
+def dataset_of(curated: Curated, registry: Registry, dials: Curation, *, site: Registry | None = None) -> Dataset:
+    """The data set with its card; `site` is the vocabulary at the site whose episodes were read, too."""
     rows = (*curated.train, *curated.held_out)
     card = DatasetCard(
         dataset_hash(to_lines(curated.train), to_lines(curated.held_out)), FORM, registry.robot, registry.hash,
@@ -73,6 +75,7 @@ def dataset_of(curated: Curated, registry: Registry, dials: Curation) -> Dataset
         {reason: len(names) for reason, names in curated.left_out.items()},
         dict(sorted(Counter(row.source for row in rows).items())), dials.rules.epsilon, dials.rules.slowest,
         dials.most_repeats, dials.held_out, dials.salt, physical=dials.rules.physical,
+        site=site.hash if site else "",
     )  # fmt: skip
     return Dataset(card, curated.train, curated.held_out)
 

@@ -99,14 +99,14 @@ def _choose(ledger: Path | None, registry: Any, there: Any, dials: Any, folder: 
     from dualbrain.adaptation.dataset import read_card, write_dataset
 
     if (folder / DATASET / "dataset.json").is_file():
-        _require_same(read_card(folder / DATASET), dials, folder, ledger)
+        _require_same(read_card(folder / DATASET), dials, folder, ledger, there)
         Account().print(f"going on with the data set in {folder}")
     else:
         write_dataset(_chosen(ledger, registry, there, dials, json=False), folder / DATASET)
 
 
-def _require_same(card: Any, dials: Any, folder: Path, ledger: Path | None) -> None:
-    """Raise `InvalidSetup` if the data set of `card` was chosen by other dials, or from another ledger."""
+def _require_same(card: Any, dials: Any, folder: Path, ledger: Path | None, there: Any) -> None:
+    """Raise `InvalidSetup` if the data set of `card` was chosen by other dials, from another ledger or site."""
     from dualbrain.adaptation.dataset import other_dials
     from dualbrain.memory.ancestry import goes_on_from
     from dualbrain.memory.chain import Head
@@ -116,6 +116,10 @@ def _require_same(card: Any, dials: Any, folder: Path, ledger: Path | None) -> N
         raise InvalidSetup(
             f"[curation] of the data set in {folder}", got=others, allowed="what it was made by", fix=fix
         )
+    if card.site != (site := there.hash if there else ""):
+        got, allowed = (hash[:16] or "none" for hash in (site, card.site))
+        fix = "Name another --out to choose anew, or the --site of before to go on."
+        raise InvalidSetup(f"site of the data set in {folder}", got=got, allowed=allowed, fix=fix)
     with reader(ledger) as opened:
         if not goes_on_from(opened, Head(card.event, card.ledger)):
             allowed = f"the one whose event {card.event} is {card.ledger[:16]}"
@@ -130,7 +134,7 @@ def _chosen(ledger: Path | None, registry: Any, there: Any, dials: Any, *, json:
 
     with reader(ledger) as opened:
         curated = curate(opened, registry, dials.curation, site=there)
-    dataset = dataset_of(curated, registry, dials.curation)
+    dataset = dataset_of(curated, registry, dials.curation, site=there)
     if json:
         tell({"card": dataset.card, "left_out": curated.left_out, "samples": _briefly(curated)})
     else:

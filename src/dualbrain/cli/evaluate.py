@@ -139,21 +139,27 @@ def _parts(planner: str) -> dict[str, str]:
 
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.evaluation.parts import require_parts
     from dualbrain.evaluation.planners import Sources
     from dualbrain.evaluation.runner import CONFIG, STAGES
     from dualbrain.evaluation.table_file import FILE, write_table
 
-    runner.prepare(*_here(runner.suite))
     sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
+    require_parts(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)), sources)
+    runner.prepare(*_here(runner.suite))
     whole = False
     try:
         whole = _passes(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
+    except KeyboardInterrupt:
+        account.print("nothing that was finished is lost: the same command goes on")
+        raise
     finally:  # also after Ctrl-C: what was flown so far can be read
         rows = runner.rows()
         if rows:
             config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
             write_table(rows, config, runner.out / FILE)
-    account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
+    if rows:
+        account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
     if not whole:
         account.print(f"not whole: see {runner.out / 'errors.jsonl'}; the same command tries again")
     if as_json:

@@ -199,11 +199,9 @@ def _path(store: Path | None) -> Path:
 
 
 def _encoder() -> Any:
-    from dualbrain import weights
     from dualbrain.memory.encoder import MiniLmEncoder
-    from dualbrain.runtime.session import ENCODER, TOKENIZER
 
-    return MiniLmEncoder(weights.locate(ENCODER, cache()), weights.locate(TOKENIZER, cache()))
+    return MiniLmEncoder.fetched(cache())
 
 
 def _unfit(submission: Submission) -> Refused | None:

@@ -22,6 +22,7 @@ app = App(
     Exit codes: 0 success, 1 the task failed safely, 2 usage, 3 contract rejected or declined, 4 a safety violation was
     seen, 5 broken set-up, 130 interrupted.""",
     help_format="markdown",
+    suppress_keyboard_interrupt=False,  # else it would leave by itself, and say nothing
 )
 memory = App(name="memory", help="What happened: look at memory, audit it, mend it. Everything is reversible.")
 app.command(memory)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from dualbrain import weights
 from dualbrain.cli.console import answer
 from dualbrain.cli.folders import cache, home
 from dualbrain.errors import UnknownName
@@ -66,8 +65,7 @@ def encoder() -> Any:
     """The sentence encoder."""
     from dualbrain.memory.encoder import MiniLmEncoder
 
-    names = ("minilm-l6-v2-int8", "minilm-l6-v2-tokenizer")
-    return MiniLmEncoder(*(weights.locate(name, cache()) for name in names))
+    return MiniLmEncoder.fetched(cache())
 
 
 def config(ledger: LedgerReader) -> MemoryConfig:

@@ -62,15 +62,9 @@ def _interval(draws: Array, flat: Array, clusters: int, *, share: bool) -> tuple
 
 def _draws(clusters: Sequence[Array], seed: int) -> Array:
     """Means of resampled clusters, (RESAMPLES,)."""
-    sums, counts = _resampled(clusters, seed)
-    return sums / counts
-
-
-def _resampled(clusters: Sequence[Array], seed: int) -> tuple[Array, Array]:
-    """Sums and counts of resampled clusters, each (RESAMPLES,)."""
     sums, counts = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
     chosen = np.random.default_rng([seed, len(clusters)]).integers(len(clusters), size=(RESAMPLES, len(clusters)))
-    return sums[chosen].sum(axis=1), counts[chosen].sum(axis=1)
+    return sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
 
 
 def percentiles(draws: Array, n: int) -> tuple[float, float]:

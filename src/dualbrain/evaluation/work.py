@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 
-from dualbrain import weights
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.bare import seconds_lost
 from dualbrain.evaluation.case import Case, Catalogue, case_of
@@ -30,7 +29,6 @@ from dualbrain.records import Proposal
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.vocabulary import vocabulary
 
-ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
 PLANS, RUNS, STARTS, ONCE = "plans", "runs", "start", "once"
 
 
@@ -62,8 +60,7 @@ class Work:
 
     @cached_property
     def _encoder(self) -> Encoder:
-        cache = self._at.sources.cache
-        return MiniLmEncoder(weights.locate(ENCODER, cache), weights.locate(TOKENIZER, cache))
+        return MiniLmEncoder.fetched(self._at.sources.cache)
 
     def __call__(self, unit: Unit) -> Iterator[dict[str, Any]]:
         """The lines of `unit` from its episode number `done` on."""

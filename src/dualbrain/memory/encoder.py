@@ -12,13 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import MissingPart
+from dualbrain.weights import locate
 
 Rows = NDArray[np.float32]
 
 MAX_TOKENS = 256
 """Longer texts are cut here: the length the model was trained for (its sentence-transformers configuration)."""
 
-_FETCH = "Fetch it with `dualbrain models fetch minilm-l6-v2-int8` and `dualbrain models fetch minilm-l6-v2-tokenizer`."
+ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
+"""Names of its files in the manifest of weights."""
+
+_FETCH = f"Fetch it with `dualbrain models fetch {ENCODER}` and `dualbrain models fetch {TOKENIZER}`."
 _INSTALL = "Install it with `pip install 'dualbrain[memory]'`."
 
 
@@ -62,6 +66,11 @@ class MiniLmEncoder:
         self.id = f"minilm-l6-v2-int8@{digest[:8]}"
         self._session = _session(model)
         self._tokenizer = _tokenizer(tokenizer)
+
+    @classmethod
+    def fetched(cls, cache: Path) -> MiniLmEncoder:
+        """The encoder whose files were fetched into `cache`; raises `MissingPart`, `WrongHash`."""
+        return cls(locate(ENCODER, cache), locate(TOKENIZER, cache))
 
     def encode(self, texts: Sequence[str]) -> Rows:
         """Unit rows of shape (n_texts, 384), float32; any text is taken, the empty one too."""

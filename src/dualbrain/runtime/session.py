@@ -63,7 +63,6 @@ from dualbrain.world.scene_spec import save_scene
 FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """What a run leaves in its folder."""
 __all__ = ["FILES", "Finished", "Onlooker", "RunConfig", "Session", "Times"]
-ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
 
 
 class Session:
@@ -95,7 +94,7 @@ class Session:
         self.standing = site_obstacles(self.body, site) if site else ()
         self.grants = site_grants(site, frozenset(registry_of(self.body).by_name)) if site else None
         self.spec = open_scene(config.scene, config.robot)
-        encoder = MiniLmEncoder(weights.locate(ENCODER, config.cache), weights.locate(TOKENIZER, config.cache))
+        encoder = MiniLmEncoder.fetched(config.cache)
         self.library = self._open_library(encoder)
         if self.library is not None and config.map:
             self.spec = charted(self.spec, self.body, self.library, config.map)

@@ -1,0 +1,42 @@
+"""What the planners and memories of a suite need on this machine, looked for before anything is flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.names import folder_of, is_adapter, without_engine
+from dualbrain.evaluation.method import find_method
+from dualbrain.evaluation.planners import DRAWN, Sources, planner_name
+from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.unit import Unit
+from dualbrain.memory.encoder import ENCODER, TOKENIZER
+from dualbrain.planner.registry import planner_names
+from dualbrain.weights import locate
+
+ASKING = ("pilot", "plan")
+"""Passes that ask planners; a flight has its answer from the plan pass."""
+
+
+def require_parts(suite: Suite, units: Iterable[Unit], sources: Sources) -> None:
+    """Raise for the first weights or adapter that `units`, what is left of all passes, cannot do without.
+
+    One message instead of one a unit, and at once. Raises `MissingPart`, `WrongHash`, `UnknownName`, `InvalidSetup`.
+    """
+    left = list(units)
+    asked = {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in left if unit.stage in ASKING}
+    for name, robot in sorted(asked):
+        require_planner(name, robot, sources)
+    if any(unit.stage == "start" or find_method(unit.method).remembers for unit in left):
+        for name in (ENCODER, TOKENIZER):
+            locate(name, sources.cache)
+
+
+def require_planner(name: str, robot: str, sources: Sources) -> None:
+    """Raise if the weights or the adapter of the planner called `name` are not here; nothing is known of a server."""
+    core = without_engine(name)
+    if name not in DRAWN and is_adapter(core):
+        stack_of(folder_of(core, Adapters(sources.adapters), robot), sources.cache)
+    elif core in planner_names():
+        locate(core, sources.cache)
