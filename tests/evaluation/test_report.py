@@ -21,7 +21,8 @@ from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
 from dualbrain.evaluation.gallery import chosen
-from dualbrain.evaluation.grids import cell, failures, families, methods_of, number, overview
+from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview
+from dualbrain.evaluation.markdown import grid_lines
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
@@ -69,6 +70,19 @@ def test_an_overview_has_every_method_with_its_numbers(rows):
     assert lines["violation rate"][1].startswith("0.0 %")
     assert lines["Δ of successes"][0] == "–"
     assert lines["episodes (clusters)"] == ("4 (2)",) * 3
+
+
+def test_a_table_of_many_methods_is_told_in_parts_that_keep_the_names_of_the_rows():
+    head = ("metric", *(f"m{k}" for k in range(20)))
+    grid = Grid("t", head, (("success", *map(str, range(20))), ("Δ", *map(str, range(100, 120)))))
+    first, second = grid.parts()
+    assert first[0] == ("metric", *head[1:11])
+    assert second[0] == ("metric", *head[11:])
+    assert [row[0] for row in second[1]] == ["success", "Δ"]
+    assert [left + right[1:] for left, right in zip(first[1], second[1], strict=True)] == list(grid.rows)
+    assert grid_lines(grid).count("| metric | " + " | ".join(head[11:]) + " |") == 1
+    narrow = Grid("t", head[:12], (tuple(map(str, range(12))),))
+    assert narrow.parts() == [(narrow.head, list(narrow.rows))]
 
 
 def test_numbers_as_people_read_them():

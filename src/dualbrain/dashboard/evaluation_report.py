@@ -129,7 +129,7 @@ def _tile(answer: Answer) -> Html:
 
 
 def _grid(grid: Grid) -> Html:
-    return section(grid.title, table(grid.head, grid.rows), note=grid.note)
+    return section(grid.title, *(table(head, rows) for head, rows in grid.parts()), note=grid.note)
 
 
 def _card(title: str, chart: Html, note: str) -> Html:

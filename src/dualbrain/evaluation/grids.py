@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import ceil, isfinite, isnan
 
 from dualbrain.evaluation.failure import CLASSES
 from dualbrain.evaluation.hypotheses import Answer, Claim
@@ -18,6 +18,8 @@ from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
 NONE = "–"
 KEY = ("violation rate", "success", "Δ of successes", "intervention frequency")
 """The metrics that are told family by family."""
+MOST_COLUMNS = 11
+"""Beside the names of the rows: as many as the table of hypotheses has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,18 @@ class Grid:
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+
+    def parts(self) -> list[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
+        """Heads and rows, side by side where a table is too wide to be read: each part begins with the rows' names."""
+        count = max(1, ceil((len(self.head) - 1) / MOST_COLUMNS))
+        wide = ceil((len(self.head) - 1) / count)
+        return [
+            (
+                (self.head[0], *self.head[start : start + wide]),
+                [(row[0], *row[start : start + wide]) for row in self.rows],
+            )
+            for start in range(1, len(self.head), wide)
+        ]
 
 
 def methods_of(rows: Sequence[Row]) -> tuple[str, ...]:

@@ -14,7 +14,9 @@ def grid_lines(grid: Grid) -> list[str]:
         lines += [f"{grid.note[0].upper()}{grid.note[1:]}.", ""]
     if not grid.rows:
         return [*lines, "None.", ""]
-    return [*lines, _line(grid.head), _line(["---"] * len(grid.head)), *map(_line, grid.rows), ""]
+    for head, rows in grid.parts():
+        lines += [_line(head), _line(["---"] * len(head)), *map(_line, rows), ""]
+    return lines
 
 
 def page(title: str, about: Sequence[str], grids: Iterable[Grid]) -> str:
