@@ -13,6 +13,7 @@ from dualbrain.cli import evaluate
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
 from dualbrain.cli.report import command_of, flown_on, results
+from dualbrain.dashboard.evaluation_charts import MARKERS, panels
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
 from dualbrain.errors import InvalidSetup
@@ -83,6 +84,15 @@ def test_a_table_of_many_methods_is_told_in_parts_that_keep_the_names_of_the_row
     assert grid_lines(grid).count("| metric | " + " | ".join(head[11:]) + " |") == 1
     narrow = Grid("t", head[:12], (tuple(map(str, range(12))),))
     assert narrow.parts() == [(narrow.head, list(narrow.rows))]
+
+
+def test_many_methods_are_drawn_in_panels_each_with_what_became_of_it():
+    assert panels(("B1", "B3", "M", "M-half")) == [["B1", "B3", "M", "M-half"]]
+    flown = methods_of([row(name, seed=1, repetition=0) for name in open_suite("ablations").methods])
+    found = panels(flown)
+    assert found[0] == ["B4", "M", "M-success", "M-half", "M-double"]
+    assert sorted(name for group in found for name in group) == sorted(flown)
+    assert max(map(len, found)) <= len(MARKERS)
 
 
 def test_numbers_as_people_read_them():

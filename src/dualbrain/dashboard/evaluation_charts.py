@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -30,38 +30,62 @@ DECADES = 100.0
 """Beyond this ratio of its ends a logarithmic axis names powers of ten only."""
 
 
+def panels(methods: Sequence[str]) -> list[list[str]]:
+    """Methods that are drawn together: all, or where these are too many, a method with what was changed of it."""
+    if len(methods) <= len(MARKERS):
+        return [list(methods)]
+    leads = dict.fromkeys(name.partition("-")[0] for name in methods)
+    found: list[list[str]] = [[]]
+    for lead in leads:
+        kin = [name for name in methods if name.partition("-")[0] == lead]
+        if found[-1] and len(found[-1]) + len(kin) > len(MARKERS):
+            found.append([])
+        found[-1] += kin
+    return found
+
+
 def look(index: int) -> dict[str, Any]:
     """Colour and dash of the method number `index`: no two alike."""
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index // len(COLOURS) % len(DASHES)]}
 
 
 @contextmanager
-def _canvas(rows: int, columns: int, height: float) -> Iterator[tuple[Any, Any, StringIO]]:
+def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[tuple[list[tuple[Any, Any]], StringIO]]:
+    """`parts` figures below each other, each with its axes, and what they are written to in the end."""
     import matplotlib as mpl  # noqa: PLC0415  (heavy imports are lazy)
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     out = StringIO()
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.4, height))
-        axes = figure.subplots(rows, columns, squeeze=False)
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.90, bottom=0.12, hspace=0.55, wspace=0.22)
-        yield figure, axes, out
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        whole = Figure(figsize=(10.4, height * parts))
+        figures = list(whole.subfigures(parts, 1, squeeze=False).flat)
+        axes = [figure.subplots(rows, columns, squeeze=False) for figure in figures]
+        for figure in figures:
+            figure.subplots_adjust(left=0.06, right=0.99, top=0.90, bottom=0.12, hspace=0.55, wspace=0.22)
+        yield list(zip(figures, axes, strict=True)), out
+        whole.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
 
 
 def curves(rows: Sequence[Row]) -> Html:
     """Each of the main metrics over the repetitions of a scene, method by method, with its interval."""
-    methods = methods_of(rows)
-    with _canvas(2, 2, 6.0) as (figure, axes, out):
-        for place, name in zip(axes.flat, CURVES, strict=True):
-            _title(place, name, "over repetitions")
-            for index, method in enumerate(methods):
-                _curve(place, rows, method, name, index, DODGED * ((index + 0.5) / len(methods) - 0.5))
-            place.set_ylim(0, None)
-            place.set_xlabel("repetition", loc="right", labelpad=1)
-            place.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
-        _legend(figure, methods, marked=True)
+    groups = panels(methods_of(rows))
+    with _canvas(2, 2, 6.0, len(groups)) as (figures, out):
+        for methods, (figure, axes) in zip(groups, figures, strict=True):
+            for place, name in zip(axes.flat, CURVES, strict=True):
+                _title(place, name, "over repetitions")
+                _metric(place, rows, methods, name)
+            _legend(figure, methods, marked=True)
     return themed(out.getvalue(), "metrics over repetitions")
+
+
+def _metric(axes: Axes, rows: Sequence[Row], methods: Sequence[str], name: str) -> None:
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    for index, method in enumerate(methods):
+        _curve(axes, rows, method, name, index, DODGED * ((index + 0.5) / len(methods) - 0.5))
+    axes.set_ylim(0, None)
+    axes.set_xlabel("repetition", loc="right", labelpad=1)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, dodge: float) -> None:
@@ -89,22 +113,27 @@ def traces(rows: Sequence[Row]) -> Html:
     """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0."""
     pair = traced_pair(rows)
     here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
-    methods = methods_of(rows)
-    with _canvas(2, 1, 4.6) as (figure, axes, out):
-        above, below = axes.flat
-        _title(above, "Clearance h_min", "mm, least in each tenth of a second")
-        _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
-        for index, method in enumerate(methods):
-            if method in here:
-                t = np.array(here[method].trace_t)
-                h = 1e3 * np.array(here[method].trace_h)
-                above.plot(t, np.minimum(h, 60.0), linewidth=1.2, **look(index))
-                below.plot(t, here[method].trace_delta, linewidth=1.2, **look(index))
-        above.axhline(0, color=INK, linewidth=1.0)
-        below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
-        below.set_xlabel("time [s]", loc="right", labelpad=1)
-        _legend(figure, [method for method in methods if method in here], methods)
+    groups = panels(methods_of(rows))
+    with _canvas(2, 1, 4.6, len(groups)) as (figures, out):
+        for methods, (figure, axes) in zip(groups, figures, strict=True):
+            _trace(axes.flat, here, methods)
+            _legend(figure, [method for method in methods if method in here], methods)
     return themed(out.getvalue(), f"h_min and δ over time, {pair}")
+
+
+def _trace(axes: Iterable[Axes], here: Mapping[str, Row], methods: Sequence[str]) -> None:
+    above, below = axes
+    _title(above, "Clearance h_min", "mm, least in each tenth of a second")
+    _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
+    for index, method in enumerate(methods):
+        if method in here:
+            t, h = np.array(here[method].trace_t), 1e3 * np.array(here[method].trace_h)
+            above.plot(t, np.minimum(h, 60.0), linewidth=1.2, **look(index))
+            below.plot(t, here[method].trace_delta, linewidth=1.2, **look(index))
+    above.axhline(0, color=INK, linewidth=1.0)
+    below.set_ylim(0, None)
+    below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
+    below.set_xlabel("time [s]", loc="right", labelpad=1)
 
 
 def traced_pair(rows: Sequence[Row]) -> str:
@@ -122,7 +151,7 @@ def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
     """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
     gate = [1e3 * row.gate_s for row in rows if row.shots]
     steps = [row.filter_us for row in rows if row.filter_us]
-    with _canvas(1, 3, 2.6) as (figure, axes, out):
+    with _canvas(1, 3, 2.6) as (((figure, axes),), out):
         figure.subplots_adjust(top=0.80, bottom=0.20)
         _spread(axes[0, 0], "Decision", "s, as asked", {"planner": asked})
         _spread(axes[0, 1], "Gate", "ms, all shots", {"gate": gate})
