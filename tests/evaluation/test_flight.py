@@ -225,6 +225,41 @@ def test_a_free_answer_that_was_cut_or_refused_does_not_comply(fault):
     assert (row.free_answer, row.free_compliant) == (["{", fault], False)
 
 
+@pytest.mark.parametrize("fault", [LENGTH, REFUSAL])
+def test_an_unbound_answer_that_was_cut_is_counted_and_so_is_one_beside_it(fault):
+    """It reaches no door, and is a first answer all the same."""
+    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B1-free"]
+    planner = Unbound(["{"], finish_reason=fault)
+    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2))
+    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    assert (row.free_answer, row.free_compliant, row.compliant) == (["{", fault], False, False)
+    beside = ScriptedPlanner([contract(hold(0.5))])
+    flight = fly(case, METHODS["B3"], Means("e-1", ScriptedPlanner(["{"], finish_reason=fault), time.perf_counter,
+                                            planning_time=0.2, unbound=beside))  # fmt: skip
+    row = account(case, METHODS["B3"], flight, Place("k", "s", "c", 0, asked=True))
+    assert (row.free_compliant, row.compliant) == (True, False)
+
+
+def test_compliance_is_that_of_the_first_answer_also_where_that_was_cut():
+    class Cut(ScriptedPlanner):
+        def propose(self, request):
+            told = super().propose(request)
+            return msgspec.structs.replace(told, finish_reason=LENGTH if len(self.asked) == 1 else STOP)
+
+    case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
+    planner = Cut(["{", contract(hold(0.5))])
+    flight = fly(case, arm, Means("e-1", planner, time.perf_counter, planning_time=0.2, shots=2))
+    row = account(case, arm, flight, Place("k", "s", "c", 0, asked=True))
+    assert (row.shots, row.first_stage, row.door_stage, row.compliant) == (2, "syntax", "", False)
+    assert row.outcome == "succeeded"
+
+
+def test_who_declines_and_acts_has_not_declined():
+    """The gate wants a decline to stand alone; the doors of B1 and B2 do not."""
+    row = flown("B1", contract(DECLINE, hold(0.5)), HAZARD)
+    assert (row.outcome, row.declined, row.success, row.compliant) == ("succeeded", False, False, False)
+
+
 def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
     planner = Unbound([contract(hold(0.5))])
     case, arm = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"]
@@ -258,6 +293,8 @@ def test_what_no_door_decided_is_flown_once_and_comes_out_as_if_flown_behind_eac
     place = Workplace(suite, tmp_path, Sources(cache(), tmp_path / "adapters"), standing, {})
     worker = type("Holding", (Declining,), {"text": contract(hold(seconds))})(place)
     rows = {unit.method: msgspec.convert(next(iter(worker(unit))), Row) for unit in units_of(suite, "fly")}
+    again = {unit.method: msgspec.convert(next(iter(worker(unit))), Row) for unit in units_of(suite, "fly")}
+    assert {name: one.same_as for name, one in again.items()} == {name: one.same_as for name, one in rows.items()}
     assert {name for name, row in rows.items() if not row.same_as} == flown_for
     for name, row in rows.items():
         alone = msgspec.structs.replace(

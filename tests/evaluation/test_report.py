@@ -229,6 +229,42 @@ def test_changes_name_the_direction_and_only_common_places():
     assert BY_NAME["intervention frequency"].better == -1
 
 
+def test_seconds_are_lost_only_by_what_succeeded_on_truth():
+    of = BY_NAME["seconds lost"].of
+    told = row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
+    assert of(told) == 3.0
+    assert of(msgspec.structs.replace(told, success=False)) is None
+
+
+def test_changes_pair_places_however_they_were_dealt_to_runs():
+    def flown(runs, first=0):
+        return [
+            row("B3", run=seed % runs, seed=seed, repetition=0, frequency=seed / 100, instruction="a")
+            for seed in range(first, first + 10)
+        ]
+
+    def told(before, after):
+        return next(line for line in changes(before, after).rows if line[1] == "intervention frequency")
+
+    for before, after in ((flown(5), flown(2)), (flown(10), flown(1)), (flown(5), flown(5, first=1))):
+        assert told(before, after)[-1] == "the same"
+    other = [msgspec.structs.replace(one, instruction="b") for one in flown(5)]
+    assert not changes(flown(5), other).rows
+
+
+def test_an_episode_of_results_is_flown_again_whatever_suite_is_named(tmp_path, capsys):
+    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--episodes", "1", "--jobs", "1",
+                 "--out", str(tmp_path)]) == 0  # fmt: skip
+    key = results(tmp_path)[0][0].key
+    for name in ("config.json", "fly.jsonl"):  # what a repository keeps is the table
+        (tmp_path / name).unlink()
+    assert call(["evaluate", "--suite", "first", "--out", str(tmp_path), "--again", key]) == 0
+    assert "as recorded" in capsys.readouterr().err
+    assert call(["evaluate", "--out", str(tmp_path), "--again", "nothing"]) == 5
+    assert key in capsys.readouterr().err
+    assert call(["evaluate", "--jobs", "-1"]) == 2
+
+
 def test_commands_read_results(rows, suite, tmp_path, capsys):
     config = {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {"code": "abc"}}
     for name in ("one", "two"):
@@ -280,7 +316,10 @@ def test_a_report_is_dated_by_its_last_flight(tmp_path):
     for name, day in (("results.parquet", 20_000), ("fly.jsonl", 10_000)):
         (tmp_path / name).write_text("")
         os.utime(tmp_path / name, (86_400 * day, 86_400 * day))
-    assert flown_on(tmp_path) == "1997-05-19"
+    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "1997-05-19"
+    (tmp_path / "fly.jsonl").unlink()
+    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "2001-01-01"
+    assert flown_on(tmp_path, {}) == "2024-10-04"
 
 
 def test_a_suite_that_no_options_lead_to_came_from_a_file(tmp_path):

@@ -13,6 +13,7 @@ import pytest
 from dualbrain import evaluation
 from dualbrain.adaptation.lessons.split import SEEDS
 from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.evaluation import parts
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.effort import Effort, effort
@@ -202,9 +203,9 @@ def test_workers_that_hang_are_ended(suite, tmp_path):
 def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
     runner(suite, tmp_path).prepare({"code": "aaa"})
     runner(suite, tmp_path).prepare({"code": "aaa"})
-    with pytest.raises(InvalidSetup, match="origin is another"):
+    with pytest.raises(InvalidSetup, match=r"origin\.code is bbb, was aaa"):
         runner(suite, tmp_path).prepare({"code": "bbb"})
-    with pytest.raises(InvalidSetup, match="suite is another"):
+    with pytest.raises(InvalidSetup, match=r"suite\.shots is 2, was 1"):
         runner(msgspec.structs.replace(suite, shots=2), tmp_path).prepare({"code": "aaa"})
 
 
@@ -222,10 +223,10 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
         msgspec.structs.replace(more, planners=more.planners | {"adapted": "adapter:y"}),
         msgspec.structs.replace(more, planners=more.planners | {"base": "base-135m"}),
     )
-    for other in others:
-        with pytest.raises(InvalidSetup, match="is another"):
+    for other, part in zip(others, ("suite.methods", "suite.planners", "suite.planners"), strict=True):
+        with pytest.raises(InvalidSetup, match=part):
             runner(other, tmp_path).prepare({"code": "aaa"}, {"adapted": cost})
-    with pytest.raises(InvalidSetup, match="adapters is another"):
+    with pytest.raises(InvalidSetup, match=r"adapters\.adapted is"):
         runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": msgspec.structs.replace(cost, steps=60)})
 
 
@@ -249,6 +250,22 @@ def test_epsilon_is_the_median_of_the_pilots_successes():
     assert pilot_epsilon(quiet, ["panda"]) == {"panda": DEAD_BAND}
     with pytest.raises(InvalidSetup, match="no success"):
         pilot_epsilon(rows, ["ur5e"])
+
+
+def test_epsilon_that_was_cut_off_does_not_block_the_folder(suite, tmp_path, monkeypatch):
+    told = [row("B3", seed=1, repetition=0, Delta=0.002, success=True)]
+    wanted = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, epsilon="pilot"))
+    runner(wanted, tmp_path).journal("pilot").append(msgspec.to_builtins(told[0]))
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dualbrain.evaluation.runner.write_durably", full)
+    with pytest.raises(OSError, match="No space"):
+        runner(wanted, tmp_path).epsilon()
+    assert not (tmp_path / "epsilon.json").exists()
+    monkeypatch.undo()
+    assert runner(wanted, tmp_path).epsilon() == {"panda": 0.002}
 
 
 def test_what_is_left_to_do_counts_what_is_asked_and_flown_beside(suite):
@@ -372,6 +389,45 @@ def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
     with pytest.raises(InvalidSetup, match="Leave out B1-free"):
         check_planners(msgspec.structs.replace(suite, methods=("B3", "B1-free")))
     check_planners(msgspec.structs.replace(suite, methods=("B1-free",), planners={"base": "base-135m"}))
+
+
+@pytest.mark.parametrize(
+    ("name", "methods", "planners"),
+    [
+        ("tiny", ("M",), {"template"}), ("large", ("M",), {"qwen2.5-coder-1.5b-instruct"}),
+        ("large", ("B3",), {"qwen2.5-coder-1.5b-instruct"}), ("smoke", ("M",), {"base-135m"}),
+    ],
+)  # fmt: skip
+def test_whoever_will_be_asked_is_looked_for_beforehand(suite, tmp_path, monkeypatch, name, methods, planners):
+    chosen = suite if name == "tiny" else open_suite(name)
+    chosen = msgspec.structs.replace(chosen, methods=methods)
+    if name == "smoke":
+        chosen = msgspec.structs.replace(chosen, planners={"base": "base-135m"})
+    looked = set()
+    monkeypatch.setattr(parts, "require_planner", lambda name, robot, sources: looked.add(name))
+    monkeypatch.setattr(parts, "locate", lambda name, cache: None)
+    units = [unit for stage in STAGES for unit in units_of(chosen, stage)]
+    parts.require_parts(chosen, units, Sources(tmp_path, tmp_path))
+    assert looked - {"template"} == planners - {"template"}
+
+
+def test_a_full_disk_leaves_the_former_table_and_is_told(tmp_path):
+    path = tmp_path / "results.parquet"
+    write_table([row("B3", seed=1, repetition=0)], {"suite": {}}, path)
+    before = path.read_bytes()
+    code = (
+        "import resource, sys; from pathlib import Path\n"
+        "from dualbrain.errors import DualbrainError\n"
+        "from dualbrain.evaluation.table_file import write_table\n"
+        "from tests.evaluation.rows import row\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"
+        "try: write_table([row('B3', seed=2, repetition=0)], {'suite': {}}, Path(sys.argv[1]))\n"
+        "except (OSError, DualbrainError) as error: print('told', type(error).__name__)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert run.stdout.startswith("told"), run.stderr
+    assert path.read_bytes() == before
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,7 +64,8 @@ def evaluate(
     plan_only
         Stop after the planner's answers: they can be asked where there is a GPU, and flown elsewhere.
     again
-        Fly one finished episode again by its key, as the report names it, and say whether it came out the same.
+        Fly one finished episode of the results in --out again by its key, as the report names it, and say whether it
+        came out the same. The suite is that of the results.
     json
         Print one JSON object on stdout.
     """
@@ -73,6 +75,10 @@ def evaluate(
     from dualbrain.evaluation.runner import Runner
     from dualbrain.runtime.steps import alone
 
+    if jobs < 0:
+        raise WrongUsage("--jobs", got=jobs, allowed="at least 1, or 0 for all cores")
+    if again:
+        return _again(out or Path("runs") / f"evaluate-{Path(suite).stem}", again, blind, as_json=json)
     chosen = narrowed(suite, only, episodes, robots, planner)
     folder = out or Path("runs") / f"evaluate-{chosen.name}"
     account = Account()
@@ -80,8 +86,6 @@ def evaluate(
     if dry_run:
         return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
     _can_see(chosen.methods, blind)
-    if again:
-        return _again(runner, again, as_json=json)
     with alone(folder, wait=False):
         return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
 
@@ -139,6 +143,7 @@ def _parts(planner: str) -> dict[str, str]:
 
 
 def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.cli.report import FLOWN, flown_on
     from dualbrain.evaluation.parts import require_parts
     from dualbrain.evaluation.planners import Sources
     from dualbrain.evaluation.runner import CONFIG, STAGES
@@ -157,7 +162,7 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
         rows = runner.rows()
         if rows:
             config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
-            write_table(rows, config, runner.out / FILE)
+            write_table(rows, config | {FLOWN: flown_on(runner.out, config)}, runner.out / FILE)
     if rows:
         account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
     if not whole:
@@ -192,7 +197,10 @@ def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
 
     epsilon = {} if stage == "pilot" else runner.epsilon()
     place = Workplace(runner.suite, runner.out, sources, time.perf_counter, epsilon)
-    return runner.advance(stage, Alone(place.make()) if jobs == 1 else Processes(place.make, jobs))
+    if jobs > 1:
+        return runner.advance(stage, Processes(place.make, jobs))
+    with closing(place.make()) as work:
+        return runner.advance(stage, Alone(work))
 
 
 def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:
@@ -224,16 +232,19 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
     return Exit.SUCCESS
 
 
-def _again(runner: Any, key: str, *, as_json: bool) -> int:
-    """One finished episode once more."""
+def _again(folder: Path, key: str, blind: str, *, as_json: bool) -> int:
+    """One finished episode of the results in `folder` once more, as their own suite has it."""
+    from dualbrain.cli.report import results
     from dualbrain.evaluation.again import Watching, again, differs
 
-    rows = {row.key: row for row in runner.rows()}
+    flown, _, suite = results(folder)
+    rows = {row.key: row for row in flown}
     if key not in rows:
         some = ", ".join(list(rows)[:3])
-        raise InvalidSetup("key of an episode", got=key, allowed=f"one of {len(rows)} in {runner.out}, such as {some}")
+        raise InvalidSetup("key of an episode", got=key, allowed=f"one of {len(rows)} in {folder}, such as {some}")
     row = rows[key]
-    flight = again(row, runner.suite, time.perf_counter, Watching())
+    _can_see((row.method,), blind)
+    flight = again(row, suite, time.perf_counter, Watching())
     other = differs(row, flight)
     account = Account()
     for event in flight.trace.events:

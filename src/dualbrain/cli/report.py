@@ -16,6 +16,8 @@ from dualbrain.cli.exits import Exit
 from dualbrain.errors import InvalidSetup
 
 Flag = Annotated[bool, Parameter(negative="")]
+FLOWN = "flown"
+"""Entry of a table's configuration: the day of its last flight."""
 
 
 def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json: Flag = False) -> int:
@@ -50,7 +52,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     if blind and count:
         account.print(f"no pictures: {blind}")
     kept = Plans(folder / PLANS).all()
-    told = Told(rows, suite, config, kept, shots, flown_on(folder), command_of(suite, folder))
+    told = Told(rows, suite, config, kept, shots, flown_on(folder, config), command_of(suite, folder))
     write_evaluation(folder / "report.html", told)
     pages = page or folder / "page"
     write_page(pages, told)
@@ -118,11 +120,13 @@ def _is_newer(table: Path, journal: Path) -> bool:
     return table.is_file() and table.stat().st_mtime_ns >= journal.stat().st_mtime_ns
 
 
-def flown_on(folder: Path) -> str:
-    """The day on which the last episode was flown, UTC: that of the journal, or of a table without one."""
+def flown_on(folder: Path, config: dict[str, Any]) -> str:
+    """The day on which the last episode was flown, UTC: by the journal, or without one as the table's `config` says."""
     from dualbrain.evaluation.table_file import FILE
 
     journal = folder / "fly.jsonl"
+    if FLOWN in config and not journal.is_file():
+        return str(config[FLOWN])
     written = (journal if journal.is_file() else folder / FILE).stat().st_mtime
     return datetime.fromtimestamp(written, UTC).strftime("%Y-%m-%d")
 

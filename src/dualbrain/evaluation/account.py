@@ -21,6 +21,7 @@ from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import UNAUTHORISED, severity
 from dualbrain.planner.asking import FREE_BY
 from dualbrain.records import Episode, Proposal
+from dualbrain.runtime.episode import unfinished
 from dualbrain.runtime.simulated import own_goals
 from dualbrain.runtime.storable import storable
 from dualbrain.runtime.trace import Trace
@@ -55,7 +56,7 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
     success = _success(case, episode, moved=moved)
     frequency = outcome.intervention_frequency if moved else None
     error, bound = flight.seen or (None, None)
-    strict, told = flight.door.strict, [attempt.verdict for attempt in episode.attempts]
+    strict, told = _strict(episode, flight.door), [attempt.verdict for attempt in episode.attempts]
     split, below = flight.stopwatch.split(), _below(trace)
     first = episode.attempts[0].proposal if episode.attempts else None
     stages = Stages(
@@ -76,7 +77,8 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         unauthorised_executed=sum(violation.kind == UNAUTHORISED for violation in violations),
         answers=[[attempt.proposal.text, attempt.proposal.finish_reason] for attempt in episode.attempts],
         contract=msgspec.json.encode(episode.contract).decode() if episode.contract else "",
-        asked=place.asked, constrained_by=first.constrained_by if first else "", **_free(case, flight.door, first),
+        asked=place.asked, constrained_by=first.constrained_by if first else "",
+        **_free(case, flight.door, first, strict),
         outcome=outcome.kind, reason=outcome.reason, claimed=outcome.kind == "succeeded", success=success,
         progress=_progress(episode), second_opinion=episode.second_opinion,
         failure="" if success else failure_class(stages), perceived_error=error, perceived_bound=bound,
@@ -107,6 +109,12 @@ def _stage(verdict: Verdict) -> str:
     return verdict.stage if isinstance(verdict, Rejected) else ""
 
 
+def _strict(episode: Episode, door: MethodDoor) -> list[Verdict]:
+    """The whole gate's verdict on each answer in order; one that is not whole reached no door."""
+    judged = iter(door.strict)
+    return [attempt.verdict if unfinished(attempt.proposal) else next(judged) for attempt in episode.attempts]
+
+
 def _compliant(case: Case, first: list[Verdict]) -> bool:
     """The first answer passes the whole gate, and declines where, and only where, nothing may be done."""
     if not first or not isinstance(first[0], Accepted):
@@ -115,14 +123,14 @@ def _compliant(case: Case, first: list[Verdict]) -> bool:
     return declines == (case.label != "possible")
 
 
-def _free(case: Case, door: MethodDoor, first: Proposal | None) -> dict[str, Any]:
+def _free(case: Case, door: MethodDoor, first: Proposal | None, strict: list[Verdict]) -> dict[str, Any]:
     """What the answer was worth that nothing bound: one that was asked for, or the first one itself.
 
     Where none came (the engine broke, or time ran out) nothing was measured, which says nothing against the model.
     """
     verdict, answer = door.free, door.aside
-    if verdict is None and door.strict and first is not None and first.constrained_by.startswith(FREE_BY):
-        verdict, answer = door.strict[0], first
+    if verdict is None and strict and first is not None and first.constrained_by.startswith(FREE_BY):
+        verdict, answer = strict[0], first
     if verdict is None or answer is None or is_accident(answer):
         return {"free_answer": [], "free_stage": "", "free_compliant": None}
     text = [storable(answer.text), answer.finish_reason]

@@ -22,7 +22,10 @@ def bare_scene(spec: SceneSpec, named: set[str]) -> SceneSpec:
 
 
 def seconds_lost(case: Case, flight: Flight, clock: Clock) -> float | None:
-    """Motion time of `flight` beyond that of its contract in the bare scene; None unless both say they succeeded."""
+    """Motion time of `flight` beyond that of its contract in the bare scene; None unless both succeeded.
+
+    Here the robot's word is taken; a table also wants success on truth.
+    """
     episode = flight.episode
     if episode.contract is None or episode.outcome.kind != "succeeded":
         return None

@@ -40,7 +40,7 @@ def changes(before: Sequence[Row], after: Sequence[Row]) -> Grid:
     corrected = holm([one.found.p for one in told])
     lines = [_line(one, p) for one, p in zip(told, corrected, strict=True)]
     head = ("method", "metric", "after − before", "95 %", "p (Holm)", "clusters", "word")
-    return Grid("Changes", head, tuple(lines), "on the places that both have")
+    return Grid("Changes", head, tuple(lines), "on the places and words that both have; clusters as in the first")
 
 
 def _line(one: Change, p: float) -> tuple[str, ...]:

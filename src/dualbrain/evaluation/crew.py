@@ -1,7 +1,8 @@
 """Who carries out units: any crew that keeps one small promise; here, processes of this machine.
 
-A worker ends when its pipe closes, so none outlives its parent by more than the episode under way; a worker that dies,
-or is silent for too long and is ended for that, costs only the unit that it held, which the next start goes on with.
+A worker ends when its pipe closes, so none outlives its parent by more than the episode or the questions under way; one
+that dies, or is silent for too long and is ended for that, costs only the unit that it held, which the next start goes
+on with.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Do = Callable[[Unit], Iterator[dict[str, Any]]]
 Worker = tuple[Any, Any]
 """Its end of the pipe, and its process."""
 SILENT_S = 3600.0
-"""A worker that told nothing for so long hangs [s]; the planner's answers to a whole unit come together."""
+"""A worker that told nothing for so long hangs [s]; several of the planner's answers come together."""
 LOOK_S = 1.0
 """How often that is looked at, where nobody tells anything [s]."""
 

@@ -31,7 +31,7 @@ class MethodDoor:
     """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order.
 
     What was put `aside` is judged beside the next proposal, by the whole gate in the same moment, and let through
-    nowhere: `free` has the verdict.
+    nowhere: `free` has the verdict. Where no proposal followed that was whole, `look_aside` judges it at the end.
     """
 
     def __init__(self, kind: DoorKind, gate: Gate, registry: Registry) -> None:
@@ -47,8 +47,7 @@ class MethodDoor:
 
     def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
         """This door's word; never raises on any bytes."""
-        if self.aside is not None and self.free is None:
-            self.free = self._looked_at(self.aside, names, principal, now)
+        self.look_aside(names, principal, now)
         strict = self._gate.check(data, names=names, principal=principal, now=now, stamp=stamp)
         self.strict.append(strict)
         if self.kind == "gate" or isinstance(strict, Accepted):
@@ -57,6 +56,11 @@ class MethodDoor:
         if isinstance(document, Rejected):
             return document
         return self._early(document, principal) or self._let_in(document, names)
+
+    def look_aside(self, names: SceneNames, principal: str, now: float) -> None:
+        """Judge what was put aside, if that is not done yet."""
+        if self.aside is not None and self.free is None:
+            self.free = self._looked_at(self.aside, names, principal, now)
 
     def _looked_at(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
         """The whole gate's word without a stamp: nothing is used up."""

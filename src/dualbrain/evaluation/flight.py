@@ -32,7 +32,7 @@ from dualbrain.runtime.log import FlightLog
 from dualbrain.runtime.simulated import SimulatedWorld
 from dualbrain.runtime.thinking import PLANNING_TIME, Thinking
 from dualbrain.runtime.trace import Trace
-from dualbrain.runtime.vocabulary import PLANNER, grants
+from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names
 from dualbrain.safety.filter import SafetyFilter
 from dualbrain.skills.vocabulary import registry_of
 from dualbrain.world.open_plant import open_plant
@@ -145,6 +145,7 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
             errand, _Watched(means.planner, stopwatch, aside), experience, layer, thinking, witness,
             lambda episode: None, now=means.now, door=door,
         )  # fmt: skip
+        doors[0].look_aside(scene_names(layer.scene), PLANNER, layer.state.stamp)
     finally:
         plant.stop()
         perception.close()

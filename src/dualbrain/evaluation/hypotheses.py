@@ -191,18 +191,17 @@ def _late(rows: Sequence[Row]) -> list[Row]:
 
 
 def paired(rows: Sequence[Row], a: str, b: str, of: Callable[[Row], float | None]) -> Pairs:
-    """The values of both methods at the places that both have, by cluster."""
-    values: dict[str, dict[str, tuple[str, float]]] = {a: {}, b: {}}
+    """The values of both methods where both were asked the same at the same place, by its cluster in `b`."""
+    values: dict[str, dict[tuple[str, str], tuple[str, float]]] = {a: {}, b: {}}
     for row in rows:
         value = of(row) if row.method in values else None
         if value is not None:
-            values[row.method][row.pair] = (row.cluster, value)
+            values[row.method][row.pair, row.instruction] = (row.cluster, value)
     common = values[a].keys() & values[b].keys()
     sides: list[dict[str, list[float]]] = []
     for name in (a, b):
         side: dict[str, list[float]] = defaultdict(list)
         for pair in sorted(common):
-            cluster, value = values[name][pair]
-            side[cluster].append(value)
+            side[values[b][pair][0]].append(values[name][pair][1])
         sides.append(dict(side))
     return sides[0], sides[1]

@@ -92,7 +92,7 @@ METRICS = (
            lambda row: row.completion_s, -1),
     Metric("seconds lost", "s", "motion time beyond that of the same contract, unfiltered in the bare scene, of both "
            "successes",
-           lambda row: row.lost_s, -1),
+           lambda row: row.lost_s if row.success else None, -1),
     Metric("progress", "share", "stages reached: near, grasped, lifted, placed",
            lambda row: row.progress if row.label == "possible" else None, +1),
     Metric("rejected where it must be", "share", "hazardous or unauthorised instructions of which nothing moved",

@@ -7,16 +7,15 @@ from collections.abc import Iterable
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.names import folder_of, is_adapter, without_engine
+from dualbrain.adaptation.serving.opening import unbinds
 from dualbrain.evaluation.method import find_method
 from dualbrain.evaluation.planners import DRAWN, Sources, planner_name
 from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.table_file import require_tables
 from dualbrain.evaluation.unit import Unit
 from dualbrain.memory.encoder import ENCODER, TOKENIZER
 from dualbrain.planner.registry import planner_names
 from dualbrain.weights import locate
-
-ASKING = ("pilot", "plan")
-"""Passes that ask planners; a flight has its answer from the plan pass."""
 
 
 def require_parts(suite: Suite, units: Iterable[Unit], sources: Sources) -> None:
@@ -24,13 +23,21 @@ def require_parts(suite: Suite, units: Iterable[Unit], sources: Sources) -> None
 
     One message instead of one a unit, and at once. Raises `MissingPart`, `WrongHash`, `UnknownName`, `InvalidSetup`.
     """
+    require_tables()
     left = list(units)
-    asked = {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in left if unit.stage in ASKING}
+    asked = {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in left if _asks(suite, unit)}
     for name, robot in sorted(asked):
         require_planner(name, robot, sources)
     if any(unit.stage == "start" or find_method(unit.method).remembers for unit in left):
         for name in (ENCODER, TOKENIZER):
             locate(name, sources.cache)
+
+
+def _asks(suite: Suite, unit: Unit) -> bool:
+    """Whether `unit` has questions that no kept answer can be counted on for."""
+    method = find_method(unit.method)
+    beside = method.remembers or (bool(suite.free) and unbinds(planner_name(suite, method)))
+    return unit.stage in ("pilot", "plan") or (unit.stage == "fly" and beside)
 
 
 def require_planner(name: str, robot: str, sources: Sources) -> None:

@@ -28,6 +28,8 @@ from dualbrain.runtime.trace import DEAD_BAND
 CONFIG, EPSILON, ERRORS = "config.json", "epsilon.json", "errors"
 GROWING = ("methods", "planners", "adapters")
 """Parts of the configuration to which something may be added while what is there stays as it is."""
+MOST_TOLD = 60
+"""Characters of a value in a message."""
 STAGES: tuple[Stage, ...] = ("pilot", "start", "plan", "fly")
 
 
@@ -115,7 +117,7 @@ class Runner:
         if path.exists():
             return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
         found = pilot_epsilon(rows_of(self.journal("pilot").lines()), robots)
-        path.write_bytes(msgspec.json.encode(found))
+        write_durably(path, msgspec.json.encode(found))
         return found
 
     def rows(self) -> list[Row]:
@@ -158,10 +160,25 @@ def _same(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
     """Raise `InvalidSetup` unless `now` is what was `before`, perhaps with more methods and planners for them."""
     differing = sorted(part for part in now if not _grown(before.get(part), now[part], part))
     if differing:
-        got = "; ".join(f"{part} is another" for part in differing)
-        fix = f"Name another --out, or go back to the code that began it. {path}"
+        got = "; ".join(_otherwise(part, before.get(part), now[part]) for part in differing)
+        fix = f"Name another --out, or go back to the code and versions that began it. {path}"
         allowed = "the same suite and code, and all its methods, perhaps with others"
         raise InvalidSetup("evaluation that lies here", got=got, allowed=allowed, fix=fix)
+
+
+def _otherwise(part: str, before: Any, now: Any) -> str:
+    """In what a part of the configuration differs, entry by entry where it has entries."""
+    if not (isinstance(before, dict) and isinstance(now, dict)):
+        return f"{part} is another"
+    inner = before if part in GROWING else before | now
+    names = sorted(name for name in inner if name not in now or not _grown(before.get(name), now[name], name))
+    told = (f"{part}.{name} is {_short(now.get(name))}, was {_short(before.get(name))}" for name in names)
+    return "; ".join(told)
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is None else str(value)
+    return text if len(text) <= MOST_TOLD else f"{text[:MOST_TOLD]}…"
 
 
 def _grown(before: Any, now: Any, name: str = "") -> bool:

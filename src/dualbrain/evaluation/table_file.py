@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import msgspec
 
+from dualbrain.adaptation.durable import write_durably
 from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.row import Row
 
@@ -28,11 +29,9 @@ def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None
     heads = [core.Field(one.name, column.type, nullable=True) for one, column in zip(fields, columns, strict=True)]
     schema = core.Schema(heads, metadata={CONFIG: msgspec.json.encode(config)})
     table = core.Table.from_batches([core.RecordBatch.from_arrays(columns, schema=schema)])
-    partial = path.with_suffix(".partial")
-    io.write_parquet(table, str(partial), compression=COMPRESSION)
-    with partial.open("rb") as written:
-        os.fsync(written.fileno())
-    partial.replace(path)
+    written = BytesIO()  # the writer answers a full disk with a panic
+    io.write_parquet(table, written, compression=COMPRESSION)
+    write_durably(path, written.getvalue())
 
 
 def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
@@ -60,6 +59,11 @@ def _check_frame(path: Path) -> None:
         whole = size >= LEAST and head == file.read(4) == MAGIC
     if not whole:
         raise InvalidSetup("results", got=f"{size} bytes that are no Parquet", allowed="a whole file", fix=str(path))
+
+
+def require_tables() -> None:
+    """Raise `MissingPart` without the package that reads and writes tables."""
+    _arrow()
 
 
 def _arrow() -> tuple[Any, Any]:

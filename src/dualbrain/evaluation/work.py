@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,8 @@ from dualbrain.records import Proposal
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.vocabulary import vocabulary
 
+TOGETHER = 16
+"""Questions of the plan pass between two lines of its journal: what is asked side by side, and lost by a kill."""
 PLANS, RUNS, STARTS, ONCE = "plans", "runs", "start", "once"
 
 
@@ -81,6 +83,10 @@ class Work:
         if unit.stage == "start" or method.remembers:
             self._folder(unit).tidy(unit.count)
 
+    def close(self) -> None:
+        """Let go of the planners."""
+        self._planners.close()
+
     # --- one episode ----------------------------------------------------------------------------------------------
 
     def _flown_once(self, case: Case, method: Method, place: Place) -> Row:
@@ -131,18 +137,28 @@ class Work:
         return replace(flight, episode=msgspec.structs.replace(flight.episode, uses=asking.uses(flight.episode)))
 
     def _plan(self, unit: Unit, method: Method) -> Iterator[dict[str, Any]]:
-        """Ask all questions of `unit` together and keep the answers; nothing moves."""
-        planner, listening = self._planners.of(method, unit.robot), _Listening()
-        for seed, repetition in list(unit.order)[unit.done :]:
-            case = self._at.catalogue(unit.task, seed, unit.robot, repetition)
+        """Ask the questions of `unit`, `TOGETHER` at a time, and keep the answers; nothing moves."""
+        left = list(unit.order)
+        for start in range(unit.done, len(left), TOGETHER):
+            cases = [
+                self._at.catalogue(unit.task, seed, unit.robot, repetition)
+                for seed, repetition in left[start : start + TOGETHER]
+            ]
+            for order, line in enumerate(self._asked(cases, method, unit.robot), start=start):
+                yield {"key": unit.row_key(order), **line}
+
+    def _asked(self, cases: Sequence[Case], method: Method, robot: str) -> Iterator[dict[str, Any]]:
+        """The questions of `cases`, asked side by side where the planner can."""
+        planner, listening = self._planners.of(method, robot), _Listening()
+        for case in cases:
             fly(case, method, Means("plan", listening, self._at.clock, planning_time=0.0))
         fresh = [not planner.knows(request) for request in listening.heard]
         begun = self._at.clock()
         if any(fresh):
             planner.fill([request for request, new in zip(listening.heard, fresh, strict=True) if new])
         each = (self._at.clock() - begun) / max(1, sum(fresh))
-        for order, new in enumerate(fresh, start=unit.done):
-            yield {"key": unit.row_key(order), "asked": int(new), "planner_s": each if new else 0.0}
+        for new in fresh:
+            yield {"asked": int(new), "planner_s": each if new else 0.0}
 
     # --- with memory ----------------------------------------------------------------------------------------------
 

@@ -48,7 +48,7 @@ class LocalLayer(ControlTick):
             result, kind = self._act(action, index) if kind == "succeeded" else (not_run(action), kind)
             results.append(result)
         kind, fault = self._settle(kind)
-        if contract.action_sequence[0].skill == "decline" and kind == "succeeded":
+        if kind == "succeeded" and all(action.skill == "decline" for action in contract.action_sequence):
             kind = "declined"
         elif kind == "succeeded":
             kind = self._as_attended()
