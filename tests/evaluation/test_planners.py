@@ -157,6 +157,22 @@ def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_qu
     assert first["planner_s"] > 0.0
 
 
+def test_of_the_pass_of_questions_a_kill_costs_only_those_under_way(tmp_path, monkeypatch):
+    monkeypatch.setattr("dualbrain.evaluation.work.TOGETHER", 2)
+    crowd = Crowd()
+    sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
+    suite = msgspec.structs.replace(read_suite(SUITE, "tiny.toml"), planners={"base": "crowd"}, runs=1, repetitions=1)
+    work = Work(Workplace(suite, tmp_path, sources, time.perf_counter, {}))
+    (unit,) = units_of(suite, "plan")
+    assert unit.count == 4
+    lines = work(unit)
+    assert [next(lines)["key"], next(lines)["key"]] == [unit.row_key(0), unit.row_key(1)]
+    assert [len(words) for words in crowd.asked] == [2]
+    rest = list(Work(work._at)(msgspec.structs.replace(unit, done=2)))
+    assert [line["key"] for line in rest] == [unit.row_key(2), unit.row_key(3)]
+    assert [len(words) for words in crowd.asked] == [2, 2]
+
+
 @pytest.mark.parametrize("dress", [PromptedPlanner, lambda inner: SpoiledPlanner(inner, "truncated")])
 def test_what_is_done_to_one_question_is_done_to_many(dress):
     crowd = Crowd()
