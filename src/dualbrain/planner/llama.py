@@ -28,7 +28,7 @@ class LlamaPlanner:
     """Proposes with the GGUF model at `model`, wearing `adapters` (GGUF-LoRA files made for it).
 
     The child process is started at once and loads while the caller goes on; one that has died or was killed after a
-    timeout is started again by the next proposal. It listens on loopback only, behind a random key. Every request names
+    timeout is started again by the next question. It listens on loopback only, behind a random key. Every request names
     every adapter and its scale, and nothing that was read before is used again with adapters: they are known to answer
     from stale caches (llama.cpp #26207), and how a prompt is cut into batches decides near-ties. So an answer depends
     on model, adapters and question alone. Raises `MissingPart` when xllamacpp is not installed or a file is not there.
@@ -102,15 +102,8 @@ class LlamaPlanner:
     def tell(self, path: str, body: dict[str, Any]) -> dict[str, Any] | Answer:
         """POST `body`, with the adapters, to `path` of the child's own interface; its answer, or why there is none."""
         child = self._child = self._child or self._start()
-        address, failure = child.address(self._config.timeout_s)
-        if failure:
-            return failure
-        data = json.dumps(body | {"cache_prompt": False} | self._wearing()).encode()
-        reply = post(f"{address}{path}", data, key=child.key, timeout_s=self._config.timeout_s)
-        if isinstance(reply, Answer):
-            return reply
-        status, said = reply
-        return json.loads(said) if status == 200 else Answer("", protocol.ERROR, f"status {status}")
+        told = self._told(child, path, body)
+        return self._unless_lost(child, told) if isinstance(told, Answer) else told
 
     def question(self, request: PlanRequest) -> dict[str, Any]:
         """The body of the chat request that asks `request`."""
@@ -137,6 +130,17 @@ class LlamaPlanner:
 
     def _start(self) -> LlamaProcess:
         return LlamaProcess(self._model, self._config, self._adapters)
+
+    def _told(self, child: LlamaProcess, path: str, body: dict[str, Any]) -> dict[str, Any] | Answer:
+        address, failure = child.address(self._config.timeout_s)
+        if failure:
+            return failure
+        data = json.dumps(body | {"cache_prompt": False} | self._wearing()).encode()
+        reply = post(f"{address}{path}", data, key=child.key, timeout_s=self._config.timeout_s)
+        if isinstance(reply, Answer):
+            return reply
+        status, said = reply
+        return json.loads(said) if status == 200 else Answer("", protocol.ERROR, f"status {status}")
 
     def _store(self, child: LlamaProcess, address: str) -> PrefixStore:
         folder = self._config.prefixes if self._asking.steady else None
@@ -167,12 +171,17 @@ class LlamaPlanner:
 
     def _after(self, child: LlamaProcess, request: PlanRequest, answer: Answer) -> Answer:
         """Put a lost child away, and refuse an answer that does not obey the grammar that was sent."""
+        answer = self._unless_lost(child, answer)
+        if answer.finish == protocol.STOP and self._asking.grammar and not _obeys(answer.text, request.schema):
+            return Answer("", protocol.ERROR, "the grammar was not applied", answer.figures)
+        return answer
+
+    def _unless_lost(self, child: LlamaProcess, answer: Answer) -> Answer:
+        """`answer`, or that the child died over it; a lost child is put away, so that the next question starts anew."""
         if answer.finish == protocol.ERROR and child.died():
             answer = Answer("", protocol.CRASHED)
         if answer.finish in {protocol.TIMEOUT, protocol.CRASHED} or not child.ready:
             self.close()
-        elif answer.finish == protocol.STOP and self._asking.grammar and not _obeys(answer.text, request.schema):
-            return Answer("", protocol.ERROR, "the grammar was not applied", answer.figures)
         return answer
 
 

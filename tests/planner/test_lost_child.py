@@ -1,0 +1,96 @@
+"""A child that is lost is put away whoever asked it, so that the next question is asked of a new one."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dualbrain.adaptation.adapter_card import AdapterCard
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.serving.adapted import AdaptedPlanner
+from dualbrain.planner import llama, llama_process, protocol
+from dualbrain.planner.asking import FREE
+from dualbrain.planner.chat import Answer
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.short_prompt import short_template_hash
+from tests.planner.fake_server import completion
+from tests.planner.questions import REGISTRY, request
+
+CHILD = f"""
+import json, os, socket, sys, threading, time
+how = open(json.loads(sys.stdin.readline())["model"]).read()
+threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
+if how == "dies":
+    sys.exit()
+if how == "cannot":
+    print(json.dumps({{"error": "no model"}}), flush=True)
+if how in {{"hangs", "cannot"}}:
+    time.sleep(60)
+with socket.create_server(("127.0.0.1", 0)) as server:
+    print(json.dumps({{"address": "http://127.0.0.1:%d" % server.getsockname()[1]}}), flush=True)
+    while how != "hangs when asked":
+        call = server.accept()[0]
+        call.recv(65536)
+        if how == "dies when asked":
+            sys.exit()
+        call.sendall(b"HTTP/1.0 200 OK\\r\\n\\r\\n" + {completion("words")!r})
+        call.close()
+    time.sleep(60)
+"""
+"""In place of the process with the model; what stands in the model's file says how it behaves."""
+LOST = {
+    "dies": protocol.CRASHED, "hangs": protocol.TIMEOUT, "cannot": protocol.ERROR,
+    "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
+}  # fmt: skip
+
+
+@pytest.fixture
+def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A model's file for such children."""
+    (tmp_path / "child.py").write_text(CHILD)
+    (tmp_path / "m.gguf").write_text("answers")
+    monkeypatch.setattr(llama_process, "_CHILD", tmp_path / "child.py")
+    monkeypatch.setattr(llama, "find_spec", lambda name: sys)
+    return tmp_path / "m.gguf"
+
+
+@pytest.fixture
+def planner(model: Path) -> Iterator[LlamaPlanner]:
+    planner = LlamaPlanner("m", model, LlamaConfig(timeout_s=2.0), asking=FREE)
+    yield planner
+    planner.close()
+
+
+def told(planner: LlamaPlanner) -> str:
+    """Why the planner's child has no answer, "" if it has."""
+    answer = planner.tell("/v1/chat/completions", {})
+    return answer.finish if isinstance(answer, Answer) else ""
+
+
+@pytest.mark.parametrize("how", LOST)
+def test_one_that_is_lost_over_a_question_of_any_kind_is_put_away(planner: LlamaPlanner, model: Path, how: str) -> None:
+    planner.close()
+    model.write_text(how)
+    assert told(planner) == LOST[how]
+    assert planner.pid is None
+    model.write_text("answers")
+    assert told(planner) == ""
+    first = planner.pid
+    assert told(planner) == ""
+    assert planner.pid == first is not None  # one that answers is kept
+
+
+def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
+    planner: LlamaPlanner, model: Path
+) -> None:
+    card = AdapterCard(
+        "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
+        "float32", 7, None, AdaptConfig(), {},
+    )  # fmt: skip
+    adapted = AdaptedPlanner(planner, card, told)
+    planner.close()
+    model.write_text("dies when asked")
+    assert adapted.propose(request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"
+    model.write_text("answers")
+    assert adapted.propose(request()).finish_reason == protocol.STOP
