@@ -209,11 +209,44 @@ def test_nobody_at_the_address() -> None:
 
 
 @pytest.mark.parametrize(
-    "url", ["ftp://host/v1", "file:///etc/passwd", "http://", "host:80/v1", "http://host:99999999/v1"]
-)
+    "url",
+    ["ftp://host/v1", "file:///etc/passwd", "http://", "host:80/v1", "http://host:99999999/v1", "http://host/v\xe9",
+     "http://host/v1?a=\xe9", "http://host/v 1", "http://x..y/v1", "http://a b/v1", f"http://{'x' * 64}/v1"],
+)  # fmt: skip
 def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
     with pytest.raises(InvalidSetup, match="https://HOST"):
         ServerPlanner(ServerConfig(url))
+
+
+def test_a_host_may_have_a_name_of_any_letters() -> None:
+    for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
+        ServerPlanner(ServerConfig(url, key="sk-secret of ours"))
+
+
+@pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])
+def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str) -> None:
+    with pytest.raises(InvalidSetup, match="printable ASCII") as raised:
+        ServerPlanner(ServerConfig("http://host/v1", key=f"sk-secret{stray}"))
+    assert "secret" not in f"{raised.value!r} {vars(raised.value)} {raised.value.__context__!r}"
+
+
+@pytest.mark.parametrize(
+    ("path", "key", "finish"),
+    [("/v1", "sk-secret\r", "ValueError"), ("/v1", "sk-secret\u20ac", "UnicodeEncodeError"),
+     ("/v\xe9", "sk-secret", "UnicodeEncodeError"), ("/v 1", "sk-secret", "InvalidURL")],
+)  # fmt: skip
+def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, key: str, finish: str) -> None:
+    with serve(says(completion(CONTRACT))) as server:
+        url = server.url.removesuffix("/v1") + path
+        assert chat.post(url, b"", key=key, timeout_s=5.0) == chat.Answer("", protocol.ERROR, finish)
+    assert not server.asked
+
+
+@pytest.mark.parametrize("url", ["http://x..y/v1", "http://a b/v1", "http://host:port/v1"])
+def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
+    answer = chat.post(url, b"", key="sk-secret", timeout_s=5.0)
+    assert isinstance(answer, chat.Answer)
+    assert (answer.finish, "secret" in answer.detail) == (protocol.ERROR, False)
 
 
 def test_an_unknown_dialect_lists_the_known_ones() -> None:

@@ -1,7 +1,8 @@
 """One question to a chat server over HTTP, with a total time limit, and what its answer says.
 
-Nothing here raises for what a server does: silence, errors and nonsense come back as values. Proxies and redirects are
-not followed, so that a key goes to no other host than the one that was named.
+Nothing here raises for what a server does: silence, errors and nonsense come back as values. So does a question that
+cannot be sent, by the name of its fault only: the words might hold the key. Proxies and redirects are not followed, so
+that a key goes to no other host than the one that was named.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import json
 import re
 import socket
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from threading import Event, Timer
@@ -88,26 +89,27 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
     """
     if timeout_s <= 0:
         return Answer("", protocol.TIMEOUT)
-    connection, late, timer = _connection(url, timeout_s), Event(), None
+    late, timer = Event(), None
     try:
-        connection.connect()
-        timer = Timer(timeout_s, _shut, (connection.sock, late))  # its own socket: the connection lets go of it early
-        timer.daemon = True
-        timer.start()
-        headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
-        address = urlsplit(url)
-        target = f"{address.path}?{address.query}" if address.query else address.path
-        connection.request("POST", target, data, headers)
-        reply = connection.getresponse()
-        status, body = reply.status, reply.read(LARGEST_ANSWER + 1)
+        with closing(_connection(url, timeout_s)) as connection:
+            connection.connect()
+            own = connection.sock  # the connection lets go of it early
+            timer = Timer(timeout_s, _shut, (own, late))
+            timer.daemon = True
+            timer.start()
+            headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
+            address = urlsplit(url)
+            target = f"{address.path}?{address.query}" if address.query else address.path
+            connection.request("POST", target, data, headers)
+            reply = connection.getresponse()
+            status, body = reply.status, reply.read(LARGEST_ANSWER + 1)
     except TimeoutError:
         return Answer("", protocol.TIMEOUT)
-    except (OSError, HTTPException) as error:
+    except (OSError, HTTPException, ValueError) as error:
         return Answer("", protocol.TIMEOUT) if late.is_set() else Answer("", protocol.ERROR, type(error).__name__)
     finally:
         if timer is not None:
             timer.cancel()
-        connection.close()
     if late.is_set():
         return Answer("", protocol.TIMEOUT)
     if len(body) > LARGEST_ANSWER:

@@ -5,6 +5,7 @@ What the server promises about the form of its answer is recorded and never beli
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -72,11 +73,12 @@ class ServerConfig:
 class ServerPlanner:
     """Proposes by asking the server at `config.url`; needs nothing but the standard library.
 
-    Raises `InvalidSetup` for an address that is not http(s) and `UnknownName` for an unknown dialect.
+    Raises `InvalidSetup` for an address or a key that cannot be sent, `UnknownName` for an unknown dialect.
     """
 
     def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
         _require_address(config.url)
+        _require_key(config.key)
         if config.dialect not in DIALECTS:
             raise UnknownName("dialect", config.dialect, tuple(DIALECTS))
         self._config, self._clock, self._dialect = config, clock, DIALECTS[config.dialect]
@@ -124,8 +126,18 @@ class ServerPlanner:
 def _require_address(url: str) -> None:
     try:
         address = urlsplit(url)
-        fine = address.scheme in {"http", "https"} and bool(address.hostname) and (address.port or 1) > 0
+        host = (address.hostname or "").encode("idna").decode()  # as a socket will
+        told = re.fullmatch("[!-~]+", host) and re.fullmatch("[!-~]*", address.path + address.query)
+        fine = address.scheme in {"http", "https"} and bool(told) and (address.port or 1) > 0
     except ValueError:
         fine = False
     if not fine:
-        raise InvalidSetup("planner address", got=url, allowed="http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1")
+        allowed = "http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1, the path in printable ASCII (é as %C3%A9)"
+        raise InvalidSetup("planner address", got=url, allowed=allowed)
+
+
+def _require_key(key: str) -> None:
+    """Raises `InvalidSetup`, in which no part of the key is."""
+    if not re.fullmatch("[ -~]*", key):
+        fix = "Set it again; a stray line end is easily copied with it."
+        raise InvalidSetup("planner key", got="other characters (not shown)", allowed="printable ASCII", fix=fix)
