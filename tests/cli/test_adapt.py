@@ -236,6 +236,22 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
     assert "none.sqlite" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("end", "words"), [("os.kill(os.getpid(), 9)", "signal 9 (Killed)"), ("sys.exit(1)", ""), ("sys.exit(0)", "")]
+)
+def test_when_idle_a_fit_that_was_killed_from_outside_says_so_and_how_to_go_on(
+    tmp_path, monkeypatch, capfd, end, words
+):
+    monkeypatch.setattr(when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    work = [sys.executable, "-S", "-c", f"import os, sys; {end}"]
+    monkeypatch.setattr(when_idle, "command", lambda *told, **more: work)
+    told = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
+    code = when_idle.adapt_when_idle(out=Path("runs/night"), pace=Pace(look=0.05, calm=0.0), **told)
+    err = " ".join(capfd.readouterr().err.split())
+    assert (code == Exit.SETUP) is bool(words)
+    assert (words in err, "with --out runs/night goes on from the last checkpoint" in err) == (True, bool(words))
+
+
 WATCHER = """
 import sys
 from pathlib import Path

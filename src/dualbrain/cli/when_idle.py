@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -38,6 +39,11 @@ def adapt_when_idle(
 
     with ctrl_c(_interrupted):
         code = LowLoad(start, why_not, Account().print, clock=time.monotonic, sleep=time.sleep, pace=pace).run()
+    if code < 0:
+        Account().print(
+            f"the fit was ended by signal {-code} ({signal.strsignal(-code)}); the same command with --out {out} goes "
+            f"on from the last checkpoint"
+        )
     return Exit(code) if code in set(Exit) else Exit.SETUP
 
 
