@@ -17,6 +17,7 @@ from peft import PeftModel
 from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.dataset import Dataset, DatasetCard, dataset_hash, write_dataset
+from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import LEAST, Measured
 from dualbrain.adaptation.sample import Sample, answer, to_lines
 from dualbrain.adaptation.serving import packaged
@@ -39,6 +40,7 @@ from dualbrain.planner.short_prompt import short_template_hash
 from tests.adaptation import tiny_served
 from tests.adaptation.episodes import NOW, remember, several
 from tests.adaptation.test_gguf_lora import PROMPT, of_llama, of_torch
+from tests.adaptation.test_promotion import results
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import fitted, model
 from tests.planner.questions import REGISTRY
@@ -153,6 +155,28 @@ def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate
     assert len(found.candidate.trials) == LEAST
     assert found.candidate.perplexity != found.champion.perplexity
     assert "not flown, so nothing can be promoted" in capsys.readouterr().err
+
+
+def test_the_place_for_the_results_is_tried_before_the_first_question(home, monkeypatch):
+    asked = []
+
+    def answered(stack, who, *others):
+        assert (home / "results").is_dir()
+        asked.append(who)
+        return results(who, 20)
+
+    monkeypatch.setattr(adapters_measure, "_results", answered)
+    write_dataset(data_set((), ASKED), home / "data")
+    (home / "file").touch()
+    (one,) = Adapters(home / "adapters").ids()
+    for out in (home / "file" / "m.json", home / "data"):
+        with pytest.raises(DiskFull, match=r"unchanged. Mend that"):
+            adapters_measure.measure(one, data=home / "data", out=out, fly=False)
+    assert not asked
+    out = home / "results" / "today" / "m.json"
+    assert adapters_measure.measure(one, data=home / "data", out=out, fly=False) == 0
+    assert msgspec.json.decode(out.read_bytes(), type=Measured).candidate.adapter == asked[0] == one
+    assert list(out.parent.iterdir()) == [out]
 
 
 def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_asked(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Generator
@@ -10,6 +11,9 @@ from pathlib import Path
 
 from dualbrain.errors import DualbrainError
 
+NO_SPACE = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT))
+"""How the system says that more room would help."""
+
 
 class DiskFull(DualbrainError):
     """A file could not be written; what stood there before stands there still."""
@@ -17,7 +21,22 @@ class DiskFull(DualbrainError):
     def __init__(self, path: Path, reason: str) -> None:
         """Name the reason and the path."""
         self.path, self.reason = path, reason
-        super().__init__(f"not written: {reason}. What was there before is unchanged. Free some space. {path}")
+        fix = "Free some space." if any(words in reason for words in NO_SPACE) else "Mend that, or name another place."
+        super().__init__(f"not written: {reason}. What was there before is unchanged. {fix} {path}")
+
+
+def require_place(path: Path) -> None:
+    """Make the folder of `path`, and try what `write_durably` will do there; for long work, before it begins.
+
+    Raises `DiskFull` if nothing can be written at `path`.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}."):
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except OSError as error:
+        raise DiskFull(path, error.strerror or str(error)) from error
 
 
 def write_durably(path: Path, data: bytes) -> None:

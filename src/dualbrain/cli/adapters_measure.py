@@ -38,7 +38,7 @@ def measure(
     data
         A data set, as `dualbrain adapt --export` writes it or a fit leaves it; its held-out part is asked.
     out
-        Where the results go.
+        The file that the results go to; its folder is made.
     most
         Ask at most so many questions, evenly chosen; 0 means all.
     fly
@@ -55,7 +55,7 @@ def measure(
     """
     from dualbrain.adaptation.adapters import BARE, place_of
     from dualbrain.adaptation.dataset import read_dataset
-    from dualbrain.adaptation.durable import write_durably
+    from dualbrain.adaptation.durable import require_place, write_durably
     from dualbrain.adaptation.promotion import Measured
     from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
     from dualbrain.adaptation.serving.layers import stack_of
@@ -81,6 +81,7 @@ def measure(
             from dualbrain.runtime.remembered_flight import remembered_flight
 
             flight = remembered_flight(remembered, asked, seed=seed)
+        require_place(out)
         results = [
             _results(one, who, asked, vocabulary_here, flight, threads)
             for one, who in ((stack, stack.top.id), (present, champion))
