@@ -1,6 +1,7 @@
 """What is measured is what the serving runtime answers; what is exported computes the same; what differs is told."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
+import dataclasses
 import json
 import math
 
@@ -14,8 +15,10 @@ for part in ("torch", "peft", "gguf", "xllamacpp"):
 import torch
 from peft import PeftModel
 
+from dualbrain import weights
 from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.dataset import Dataset, DatasetCard, dataset_hash, write_dataset
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import LEAST, Measured
@@ -263,6 +266,32 @@ def test_adapters_are_told_apart(home, capsys):
     assert "‖difference‖" in told
     card = read_adapter_card(home / "fit")
     assert told_apart(card, card) == {}
+
+
+def test_what_only_one_of_two_adapters_sits_on_counts_as_its_own(home, capsys):
+    """(B₁A₁ + B₂A₂) − B₁A₁ = B₂A₂."""
+    (one,) = Adapters(home / "adapters").ids()
+    first, second = (read_lora(home / name) for name in ("packaged/first", "fit"))
+    both = gaps(combined([home / "packaged" / "first", home / "fit"]), first)
+    for names, fields in (((one, "first"), ("first", "second")), (("first", one), ("second", "first"))):
+        assert adapters_export.diff(*names, json=True) == 0
+        told = json.loads(capsys.readouterr().out)["all"]
+        assert told["apart"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
+        assert [told[field] for field in fields] == pytest.approx([overall(both).first, overall(both).second])
+    tiny_served.adapter(model("llama"), home / "again", 7, base="first", base_sha256=hash_of_base("first"))
+    assert adapters_export.diff(one, str(home / "again"), json=True) == 0  # what both sit on is left out
+    told = json.loads(capsys.readouterr().out)["all"]
+    assert told["first"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
+
+
+def test_adapters_of_different_models_are_not_compared(home, monkeypatch, capsys):
+    other = dataclasses.replace(weights.find_file("tiny"), name="other", sha256="0" * 64)
+    monkeypatch.setitem(weights.MANIFEST, "other", other)
+    tiny_served.adapter(model("llama"), home / "apart", 7, base="other", base_sha256="0" * 64)
+    (one,) = Adapters(home / "adapters").ids()
+    with pytest.raises(InvalidSetup, match="tiny and other"):
+        adapters_export.diff(one, str(home / "apart"))
+    assert capsys.readouterr().out == ""
 
 
 def test_joined_adapters_of_unequal_rank_are_their_sum(tmp_path):

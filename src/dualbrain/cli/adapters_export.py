@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -14,6 +14,9 @@ from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.memory_open import tell
 from dualbrain.errors import InvalidSetup
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.serving.peft_lora import Pair
 
 Flag = Annotated[bool, Parameter(negative="")]
 Form = Literal["peft", "gguf", "merged"]
@@ -67,6 +70,8 @@ def _alone(folder: Path) -> bool:
 def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     """Tell two adapters apart: how they were made, and how far what they compute differs, layer by layer.
 
+    What only one of them sits on besides the model counts as its own.
+
     Parameters
     ----------
     first
@@ -79,12 +84,11 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     from dualbrain.adaptation.adapter_card import read_adapter_card
     from dualbrain.adaptation.serving.difference import gaps, overall, told_apart
     from dualbrain.adaptation.serving.names import folder_of
-    from dualbrain.adaptation.serving.peft_lora import read_lora
 
     registry = registry_of_adapters()
     folders = [folder_of(f"adapter:{name}", registry) for name in (first, second)]
     cards = [read_adapter_card(folder) for folder in folders]
-    apart, found = told_apart(cards[0], cards[1]), gaps(*(read_lora(folder) for folder in folders))
+    apart, found = told_apart(cards[0], cards[1]), gaps(*_computed(*folders))
     if json:
         tell({"cards": apart, "all": overall(found), "layers": found})
         return Exit.SUCCESS
@@ -95,3 +99,22 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     for gap in found[:5]:
         answer(f"  {gap.layer}: {gap.first:.3g} | {gap.second:.3g}; {gap.apart:.3g}")
     return Exit.SUCCESS
+
+
+def _computed(first: Path, second: Path) -> tuple[dict[str, Pair], dict[str, Pair]]:
+    """The pairs of each adapter, with those of what it sits on unless both sit on the same.
+
+    Raises `InvalidSetup` if their models differ: then so do the matrices that are changed.
+    """
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.combined import combined
+    from dualbrain.adaptation.serving.layers import layers_of
+
+    if read_adapter_card(first).base_sha256 == read_adapter_card(second).base_sha256:
+        return combined([first]), combined([second])
+    ours, theirs = layers_of(first), layers_of(second)
+    lowest = [layers[0].card for layers in (ours, theirs)]
+    if lowest[0].base_sha256 != lowest[1].base_sha256:
+        got = " and ".join(card.base for card in lowest)
+        raise InvalidSetup("models below two adapters to compare", got=got, allowed="one and the same")
+    return combined([layer.folder for layer in ours]), combined([layer.folder for layer in theirs])

@@ -44,7 +44,17 @@ class Stack:
 def stack_of(folder: Path, cache: Path) -> Stack:
     """The adapter in `folder` and everything it sits on, each found to be what its card names.
 
-    Raises `InvalidSetup` for changed weights or a base of another hash, `UnknownName`, `MissingPart`, `WrongHash`.
+    Raises as `layers_of` does, and `MissingPart`, `WrongHash` for the base.
+    """
+    layers = layers_of(folder)
+    lowest = layers[0].card.base
+    return Stack(lowest, locate(lowest, cache), layers)
+
+
+def layers_of(folder: Path) -> tuple[Layer, ...]:
+    """The adapter in `folder` and those it sits on, the lowest first; the base itself need not be here.
+
+    Raises `InvalidSetup` for changed weights or a base of another hash, `UnknownName`.
     """
     layers = [Layer(folder, read_adapter_card(folder))]
     while layers[0].card.base in packaged_names():
@@ -55,7 +65,7 @@ def stack_of(folder: Path, cache: Path) -> Stack:
             raise InvalidSetup("packaged adapter", got="one that sits on itself", allowed="one that sits on a model")
     lowest = layers[0].card
     _require(lowest, find_file(lowest.base).sha256)
-    return Stack(lowest.base, locate(lowest.base, cache), tuple(layers))
+    return tuple(layers)
 
 
 def _require(card: AdapterCard, found: str) -> None:
