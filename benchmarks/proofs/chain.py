@@ -107,10 +107,11 @@ class Chain:
     def _fitted(self, number: int, folder: Path, objective: ObjectiveDials, rules: CleanRules) -> Path:
         with alone(folder):
             if not (folder / "adapter" / CARD).is_file():
+                own = [read_adapter_card(self.adapter(earlier)).id for earlier in range(1, number)]
                 if not (folder / "dataset" / DATASET_CARD).is_file():
-                    data = chosen(self.lived(number) / LEDGER, self.impossible(number), rules)
+                    data = chosen(self.lived(number) / LEDGER, self.impossible(number), rules, own)
                     write_dataset(data, folder / "dataset")
-                fit(read_dataset(folder / "dataset"), self.seed, folder, objective)
+                fit(read_dataset(folder / "dataset"), self.seed, folder, objective, own)
         return folder / "adapter"
 
     def lived(self, number: int) -> Path:
@@ -199,20 +200,20 @@ def said_by(question: Sample, text: str, name: str) -> Sample:
 # --- teaching ---------------------------------------------------------------------------------------------------------
 
 
-def chosen(ledger: Path, declines: Sequence[str], rules: CleanRules = CLEAN) -> Dataset:
+def chosen(ledger: Path, declines: Sequence[str], rules: CleanRules = CLEAN, own: Sequence[str] = ()) -> Dataset:
     """What `rules` let in of the ledger, in which only the model that is adapted has proposed anything.
 
-    `declines` are the right ones.
+    `declines` are the right ones, `own` the ids of its adapters in the rounds before.
     """
     registry, dials = vocabulary(ROBOT), msgspec.structs.replace(DIALS.curation, rules=rules)
     with LedgerReader(ledger) as reader:
         data = dataset_of(curate(reader, registry, dials, declines=declines), registry, dials)
-    assert not proposed_by_others(data.card.sources, BASE), data.card.sources
+    assert not proposed_by_others(data.card.sources, BASE, own), data.card.sources
     return data
 
 
-def fit(data: Dataset, seed: int, folder: Path, objective: ObjectiveDials) -> AdapterCard:
-    """Fit an adapter of the base in `folder`, or go on with the fit there."""
+def fit(data: Dataset, seed: int, folder: Path, objective: ObjectiveDials, own: Sequence[str] = ()) -> AdapterCard:
+    """Fit an adapter of the base in `folder`, or go on with the fit there; `own` are its adapters of before."""
     from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
 
     fits = msgspec.structs.replace(DIALS.fit, seed=seed)
@@ -220,7 +221,7 @@ def fit(data: Dataset, seed: int, folder: Path, objective: ObjectiveDials) -> Ad
     with (folder / SECONDS).open("a", buffering=1) as told:
         return adapt(
             data, config, find_base(BASE, folders.cache()), gate_judge(vocabulary(ROBOT)), folder,
-            cache=folders.cache(), clock=time.monotonic, tell=step_times(told, time.monotonic),
+            cache=folders.cache(), clock=time.monotonic, tell=step_times(told, time.monotonic), own=own,
         )  # fmt: skip
 
 

@@ -52,10 +52,12 @@ def test_weights_that_were_changed_are_refused(folder):
     [
         ({}, False),
         ({"smollm2": 3}, False),
-        ({"smollm2": 3, "smollm2+ab12": 4}, False),
+        ({"smollm2": 3, "smollm2+0123456789abcdef": 4}, False),
+        ({"smollm2": 3, "smollm2+ab12": 4}, True),  # an adapter of whose teachers nothing is known
+        ({"smollm2+big": 4}, True),
         ({"smollm2": 3, "qwen": 1}, True),
         ({"smollm2-large": 1}, True),
     ],
 )
 def test_what_others_proposed_makes_it_bootstrapped(sources, by_others):
-    assert proposed_by_others(sources, "smollm2") is by_others
+    assert proposed_by_others(sources, "smollm2", own=["0123456789abcdef" * 4]) is by_others

@@ -212,20 +212,30 @@ def test_it_serves_only_where_it_was_made_for(registry, two):
 
 
 def test_what_is_only_added_changes_no_champion(registry, two, tmp_path):
-    """Of two bases, that on which one was promoted or rolled back to last; an added one swaps nothing."""
-    other = registry.add(made(tmp_path / "other", "other", base="c" * 64), now=2.0).id
+    """An added one swaps nothing, on whichever base."""
     with pytest.raises(InvalidSetup, match="champion of panda"):
         champion_of(registry, "panda")
-    for one in (two[0], other):
-        registry.promote(one, yes(one, BARE), now=3.0)
-        assert champion_of(registry, "panda") == one
-    registry.add(made(tmp_path / "third", "third"), now=4.0)
-    assert champion_of(registry, "panda") == other
+    registry.promote(two[0], yes(two[0], BARE), now=3.0)
+    for words, base in (("other", "c" * 64), ("third", "b" * 64)):
+        registry.add(made(tmp_path / words, words, base=base), now=4.0)
+        assert champion_of(registry, "panda") == two[0]
     registry.promote(two[1], yes(two[1], two[0]), now=5.0)
     assert champion_of(registry, "panda") == two[1]
-    for serving in (two[0], other):
-        registry.roll_back(PLACE, "a test", now=6.0)
-        assert champion_of(registry, "panda") == serving
+    registry.roll_back(PLACE, "a test", now=6.0)
+    assert champion_of(registry, "panda") == two[0]
+
+
+def test_a_robot_is_served_on_one_base_at_a_time(registry, two, tmp_path):
+    """Whoever was measured against the bare base there was not measured against who serves."""
+    other = registry.add(made(tmp_path / "other", "other", base="c" * 64), now=2.0)
+    registry.promote(two[0], yes(two[0], BARE), now=3.0)
+    before = registry.journal()
+    with pytest.raises(InvalidSetup, match=rf"champion of panda: got '{two[0][:16]} on another base'.*rollback"):
+        registry.promote(other.id, yes(other.id, BARE), now=4.0)
+    assert registry.journal() == before
+    registry.roll_back(PLACE, "a test", now=5.0)
+    registry.promote(other.id, yes(other.id, BARE), now=6.0)
+    assert champion_of(registry, "panda") == other.id
 
 
 def test_without_a_registry_nothing_is_rolled_back_and_none_is_made(registry):

@@ -17,7 +17,9 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import InvalidSetup
+from dualbrain.memory.compact import swap
 from dualbrain.memory.curation import forget, quarantine, release
+from dualbrain.memory.ledger import LedgerReader
 from dualbrain.memory.plans import same_plan
 from tests.adaptation.episodes import NOW, REGISTRY, episode, pick, remember, scene, several, summary
 
@@ -243,6 +245,41 @@ def test_a_scene_keeps_its_side_when_others_join(tmp_path):
         after = {row.memory for row in curate(ledger, REGISTRY, Curation(held_out=0.3)).held_out}
     assert before
     assert before == {name for name in after if int(name[1:]) < 12}
+
+
+def test_a_scene_keeps_its_side_when_it_comes_again_better_and_when_the_ledger_is_compacted(tmp_path):
+    """The second time is kept for its smaller Δ; the oldest may teach nothing at all."""
+
+    def scenes(**same):
+        return [msgspec.structs.replace(one, **same) for one in several(30)]
+
+    first = [
+        msgspec.structs.replace(one, outcome=msgspec.structs.replace(one.outcome, Delta=0.002 if i % 2 else 0.9))
+        for i, one in enumerate(scenes())
+    ]
+    better = [
+        msgspec.structs.replace(one, id=f"x{one.id}", outcome=msgspec.structs.replace(one.outcome, Delta=0.0005))
+        for one in scenes()
+    ]
+    sides = []
+    for folder, episodes in (("first", first), ("later", [*first, *better])):
+        (tmp_path / folder).mkdir()
+        with remember(tmp_path / folder, episodes) as ledger:
+            sides.append(sides_of(curate(ledger, REGISTRY, Curation(held_out=0.3))))
+    path = tmp_path / "later" / "ledger.sqlite"
+    swap(path, holder="a test", now=NOW, patience=1.0)
+    with LedgerReader(path) as ledger:
+        sides.append(sides_of(curate(ledger, REGISTRY, Curation(held_out=0.3))))
+    taught, later, compacted = sides
+    assert len(later) == 30
+    assert taught.items() <= later.items()
+    assert compacted == later
+
+
+def sides_of(found):
+    """By place: whether it is held out."""
+    rows = [(row, row in found.held_out) for row in (*found.train, *found.held_out)]
+    return {row.memory.removeprefix("x"): apart for row, apart in rows}
 
 
 def test_at_least_one_scene_is_held_out_and_never_all():

@@ -123,9 +123,12 @@ B = A.replace("lora_A", "lora_B")
     [
         {"use_dora": True}, {"bias": "all"}, {"lora_bias": True}, {"modules_to_save": ["lm_head"]},
         {"trainable_token_indices": [1]}, {"fan_in_fan_out": True}, {"layer_replication": [[0, 1]]},
-        {"peft_type": "VERA"}, {"r": 8}, {"target_parameters": ["x"]},
+        {"peft_type": "VERA"}, {"r": 8}, {"target_parameters": ["x"]}, {"r": None}, {"r": True},
+        {"lora_alpha": float("nan")}, {"lora_alpha": float("inf")}, {"lora_alpha": 1e39}, {"lora_alpha": -1.0},
+        {"lora_alpha": "16"}, {"lora_alpha": None}, {"rank_pattern": {"(": 2}}, {"rank_pattern": [1]},
+        {"alpha_pattern": {".*": "x"}},
     ],
-    ids=lambda one: next(iter(one)),
+    ids=str,
 )  # fmt: skip
 def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
     with pytest.raises(InvalidSetup, match="LoRA"):

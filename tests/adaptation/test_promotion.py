@@ -38,6 +38,15 @@ def test_the_same_is_not():
     assert found.against == ("nothing is better beyond chance",)
 
 
+@pytest.mark.parametrize(("ended", "promotes"), [(1, False), (9, False), (10, True)])
+def test_few_deeds_that_both_brought_to_the_end_earn_no_promotion(ended, promotes):
+    """The interval of one difference is a point."""
+    new, old = results("new", 40, success=ended, Delta=0.001), results("", 40, success=ended, Delta=0.002)
+    found = verdict(new, old, Tolerances(Delta=0.1))
+    assert (found.measures["Delta"].low is not None) == promotes
+    assert found.promotes == promotes
+
+
 def test_one_question_more_is_chance():
     assert not verdict(results("new", 41), results("", 40)).promotes
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -28,7 +29,7 @@ from dualbrain.adaptation.serving.gguf_base import write_out
 from dualbrain.adaptation.serving.gguf_cache import served, worn
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
-from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, wear
+from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, watch_of, wear
 from dualbrain.adaptation.serving.speaking import say
 from dualbrain.errors import InvalidSetup, UnknownName, WrongHash
 from dualbrain.planner import protocol
@@ -205,6 +206,23 @@ def test_another_prompt_or_base_and_changed_weights_are_refused(place, tmp_path)
     finally:
         base.write_bytes(whole)
     assert all(fault == "" for fault in Adapters(place / "adapters").verify().values())
+
+
+def test_the_same_weights_worn_otherwise_are_another_file_and_another_canary(place, tmp_path):
+    """The id covers the weights, and α is not among them."""
+    stack = stack_of(Adapters(place / "adapters").folder / ids(place)[0], place / "cache")
+    other = tmp_path / "louder"
+    shutil.copytree(stack.layers[-1].folder, other)
+    config = json.loads((other / "adapter_config.json").read_bytes())
+    (other / "adapter_config.json").write_text(json.dumps(config | {"lora_alpha": 10 * config["lora_alpha"]}))
+    louder = stack_of(other, place / "cache")
+    assert louder.top.id == stack.top.id
+    paths = [worn(one, place / "cache")[0].path for one in (louder, stack)]
+    assert paths[0] != paths[1]
+    assert paths[0].read_bytes() != paths[1].read_bytes()
+    planner = SimpleNamespace(model=place / "cache" / "tiny.gguf")
+    watches = [watch_of(planner, one, place / "cache", place / "adapters", CONFIG) for one in (louder, stack)]
+    assert watches[0].path != watches[1].path
 
 
 def test_a_torn_file_in_the_cache_is_made_again(place):

@@ -6,6 +6,7 @@ import pytest
 from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.dataset import dataset_of
+from dualbrain.adaptation.sample import Other
 from dualbrain.adaptation.unseen import unseen
 from dualbrain.memory.curation import note_adapter
 from tests.adaptation.episodes import NOW, REGISTRY, remember, several
@@ -40,6 +41,10 @@ def test_what_the_data_set_taught_one_of_the_two_is_left_out(dataset, card):
     taught = msgspec.structs.replace(card, dataset=dataset.card.hash)
     assert unseen(both, [card, taught], dataset) == unseen(both, [taught, card], dataset) == dataset.held_out
     assert unseen(both, [card], dataset) == both
+    merged = msgspec.structs.replace(
+        dataset.held_out[0], id="new", memory="new", others=(Other(dataset.train[0].memory, "x"),)
+    )
+    assert unseen([merged], [taught], dataset) == ()  # it also stands for what was taught
     again = tuple(msgspec.structs.replace(row, memory="another") for row in dataset.train)
     assert unseen(again, [taught], dataset) == ()  # the same question and answer, of another night
 

@@ -80,7 +80,7 @@ def stage(small, monkeypatch):
             remember(ledger.parent, [told]).close()
         return told
 
-    def adapt(data, config, base, judge, folder, *, tell, **others):
+    def adapt(data, config, base, judge, folder, *, tell, own, **others):
         act()
         here.fits.append((base.sha256, config, data.card.sources))
         for step in (1, 2):
@@ -91,7 +91,7 @@ def stage(small, monkeypatch):
         card = data.card
         write_card(
             AdapterCard(made, base.name, base.sha256, card.robot, card.registry, card.prompt, card.hash, card.sources,
-                        by_others(card.sources, base.name), "float32", 2, None, config, {}),
+                        by_others(card.sources, base.name, own), "float32", 2, None, config, {}),
             folder / "adapter",
         )  # fmt: skip
 
@@ -151,7 +151,7 @@ def test_only_the_model_proposes_and_every_fit_starts_from_the_base(stage, tmp_p
     assert [row["proposed"] for row in told[1:]] == [10, 20, 30]
     for number in (1, 2, 3):
         data = read_dataset(tmp_path / "chain 0" / f"fit {number}" / "dataset")
-        assert not by_others(data.card.sources, "base-135m")
+        assert not by_others(data.card.sources, "base-135m", [card.id for card in cards[: number - 1]])
         assert {instruction_of(one) for one in data.train} <= {
             instruction_of(one) for earlier in range(number) for one in steps.instructions(0, earlier)
         }

@@ -183,7 +183,7 @@ def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(her
     assert here.registry.ids() == (here.champion.id, undisturbed)
 
 
-@pytest.mark.parametrize(("by", "bootstrapped"), [("tiny", False), ("tiny+0123abcd", False), ("templates", True)])
+@pytest.mark.parametrize(("by", "bootstrapped"), [("tiny", False), ("tiny+0123abcd", True), ("templates", True)])
 def test_a_night_that_ends_well_leaves_a_card_that_says_of_what_and_by_whom(here, by, bootstrapped):
     (here.folder / "ledger.sqlite").unlink()
     remember(here.folder, several(8, by=by)).close()

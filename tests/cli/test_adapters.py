@@ -19,8 +19,8 @@ from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
 
 
-def put(home, words="weights", base="smollm2-135m-instruct"):
-    """Add an adapter of these weights to the registry in `home`, and let it stand in the shadow; its id."""
+def put(home, words="weights", base="smollm2-135m-instruct", beside=""):
+    """Add an adapter of these weights to the registry in `home`, and let it stand in the shadow of `beside`; its id."""
     source = home / f"source of {words}"
     source.mkdir()
     (source / WEIGHTS).write_bytes(words.encode())
@@ -31,16 +31,16 @@ def put(home, words="weights", base="smollm2-135m-instruct"):
     )  # fmt: skip
     write_card(card, source)
     one = Adapters(home / "adapters").add(source, now=0.0).id
-    stand_in_the_shadow(home, one, whole=HEARD)
+    stand_in_the_shadow(home, one, whole=HEARD, served=f"{base}+{beside[:16]}" if beside else base)
     return one
 
 
-def stand_in_the_shadow(home, one, whole, broken=0):
+def stand_in_the_shadow(home, one, whole, broken=0, served="smollm2-135m-instruct"):
     """Write down what `one` said in the shadow: so many whole answers, and so many that did not come to their end."""
     log = shadow_log(home / "adapters", one)
     log.parent.mkdir(exist_ok=True)
     ends = [STOP] * whole + [TIMEOUT] * broken
-    said = [Glance("a planner", one, "words", "its answer", "my answer", finish, 1.0) for finish in ends]
+    said = [Glance(served, one, "words", "its answer", "my answer", finish, 1.0) for finish in ends]
     log.write_bytes(b"".join(msgspec.json.encode(glance) + b"\n" for glance in said))
 
 
@@ -107,7 +107,7 @@ def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_export
 
 
 def test_one_damaged_adapter_hides_no_other(tell, name, tmp_path, sings):
-    second = put(tmp_path, "more weights")
+    second = put(tmp_path, "more weights", beside=name)
     for one, before in ((name, ""), (second, name)):
         (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results(before, 20))))
         assert tell("adapters", "promote", one[:8], "--measured", "m.json")[0] == Exit.SUCCESS
@@ -146,8 +146,12 @@ def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_wai
     sings[name] = "it is not asked its canaries before"
     code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
     assert (code, f"{HEARD - 1} of {HEARD} whole answers in the shadow" in err) == (Exit.FAILED_SAFELY, True)
-    assert f"shadow:{name[:16]}@" in err
+    assert f"shadow:{name[:16]}" in err
     assert last(tmp_path).kind == "added"
+    for served in ("smollm2-135m-instruct+" + name[:16], "another"):  # its own shadow, or that of nobody who serves
+        stand_in_the_shadow(tmp_path, name, whole=99, served=served)
+        assert f"0 of {HEARD} whole answers" in tell("adapters", "promote", name[:8], "--measured", "m.json")[2]
+    stand_in_the_shadow(tmp_path, name, whole=HEARD - 1, broken=5, served="smollm2-135m-instruct in torch")
     del sings[name]
     assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", "-1")[0] == Exit.USAGE
     assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", HEARD - 1)[0] == Exit.SUCCESS
@@ -161,7 +165,7 @@ def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_wai
 
 @pytest.mark.parametrize("fault", ["", "canary 0 was answered otherwise"])
 def test_a_rollback_asks_whoever_serves_again_and_says_what_it_finds(tell, name, tmp_path, sings, fault):
-    second = put(tmp_path, "more weights")
+    second = put(tmp_path, "more weights", beside=name)
     for one, before in ((name, ""), (second, name)):
         (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(one, 58), results(before, 20))))
         tell("adapters", "promote", one[:8], "--measured", "m.json")

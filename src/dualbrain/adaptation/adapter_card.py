@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import msgspec
@@ -88,6 +89,10 @@ def require_beside(folder: Path, recorded: dict[str, str]) -> None:
             raise InvalidSetup(f"{name} of adapter", got=found[name] or "no file", allowed=digest, fix=fix)
 
 
-def proposed_by_others(sources: dict[str, int], base: str) -> bool:
-    """Whether any sample was proposed by another than `base`, bare or with an adapter of its own."""
-    return any(source != base and not source.startswith(f"{base}+") for source in sources)
+def proposed_by_others(sources: Iterable[str], base: str, own: Collection[str] = ()) -> bool:
+    """Whether any of `sources` is another than `base`, bare or with one of its `own` adapters.
+
+    `own` are the ids of adapters that were taught by the base alone: what others taught one, it passes on.
+    """
+    mine = {base, *(f"{base}+{one[:16]}" for one in own)}
+    return not mine.issuperset(sources)

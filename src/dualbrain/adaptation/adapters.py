@@ -125,7 +125,7 @@ class Adapters:
         """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
 
         `reason` tells what else was asked of it, or waived. Raises `NotPromoted` with the reasons, `InvalidSetup` for a
-        decision about others.
+        decision about others, or where an adapter on another base serves the robot.
         """
         card = self.card(name)
         with self._alone():
@@ -136,7 +136,17 @@ class Adapters:
                 raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
             if not decision.promotes:
                 raise NotPromoted(card.id, decision.against)
+            self._require_alone(place_of(card))
             self._append(Entry("promoted", card.id, place_of(card), now, reason, decision))
+
+    def _require_alone(self, place: tuple[str, str]) -> None:
+        """Raise `InvalidSetup` if the robot of `place` is served on another base: answers of two do not compare."""
+        places = dict.fromkeys(entry.place for entry in self.journal())
+        others = [one for one in places if one[0] == place[0] and one != place and self.champion(one) != BARE]
+        if others:
+            got = f"{self.champion(others[0])[:16]} on another base"
+            fix = "Roll that back first (`dualbrain adapters rollback`), or name this adapter by its id."
+            raise InvalidSetup(f"champion of {place[0]}", got=got, allowed="one on the same base, or none", fix=fix)
 
     def roll_back(self, place: tuple[str, str], reason: str, *, now: float) -> str:
         """Give the place back to whom it had before, and return that id; at last to the bare base.

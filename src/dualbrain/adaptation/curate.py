@@ -11,7 +11,7 @@ from dualbrain.adaptation.balance import repeats
 from dualbrain.adaptation.candidate import Candidate, candidates
 from dualbrain.adaptation.clean_rules import CleanRules, as_of, select
 from dualbrain.adaptation.duplicates import Kept, merge
-from dualbrain.adaptation.sample import Sample, answer
+from dualbrain.adaptation.sample import Other, Sample, answer
 from dualbrain.adaptation.scene_groups import held_out, scene_groups
 from dualbrain.contracts.canonical_contract import canonical_contract
 from dualbrain.contracts.narrowing import narrows
@@ -75,7 +75,8 @@ def curate(
         raise InvalidSetup("clean episodes", got=_told(len(found), left_out), allowed="at least one", fix=_FIX)
     kept = merge(clean)
     ones = [pair.one for pair in kept]
-    groups, shown = scene_groups(ones), repeats(ones, registry, dials.most_repeats)
+    named = dict(zip((one.memo.id for one in found), scene_groups(found), strict=True))
+    groups, shown = [named[one.memo.id] for one in ones], repeats(ones, registry, dials.most_repeats)
     rows = [_sample(pair, registry, group, times) for pair, group, times in zip(kept, groups, shown, strict=True)]
     apart = held_out(groups, dials.held_out, dials.salt)
     return Curated(
@@ -104,7 +105,7 @@ def _sample(kept: Kept, registry: Registry, scene: str, shown: int) -> Sample:
     return Sample(
         content_id(messages, text), messages, answer(text), one.memo.weight, one.memo.Delta or 0.0, one.duration,
         shown, scene, one.memo.id, _events(one, kept.repeats), one.memo.provenance.source, one.scene.graspable,
-        one.scene.receptive,
+        one.scene.receptive, tuple(Other(same.memo.id, same.memo.provenance.source) for same in kept.repeats),
     )  # fmt: skip
 
 

@@ -25,8 +25,9 @@ class DatasetCard(msgspec.Struct, frozen=True):
     """What a data set is, where it came from and what was left out; `hash` is over the bytes of both files.
 
     `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
-    `merged` those that a near-duplicate stands for. `sources` counts the samples by who proposed them. `prompt` is the
-    hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots in it, by name.
+    `merged` those that a near-duplicate stands for. `sources` counts samples and merged ones by who proposed them.
+    `prompt` is the hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots
+    in it, by name.
     `site` is the hash of that vocabulary as it is at a site, "" where none was named. The rest are the dials of
     curation; older cards do not tell `physical`.
     """
@@ -73,11 +74,16 @@ def dataset_of(curated: Curated, registry: Registry, dials: Curation, *, site: R
         len(curated.train), len(curated.held_out), sum(row.repeats for row in curated.train),
         len({row.scene for row in rows}), curated.merged,
         {reason: len(names) for reason, names in curated.left_out.items()},
-        dict(sorted(Counter(row.source for row in rows).items())), dials.rules.epsilon, dials.rules.slowest,
+        dict(sorted(Counter(source for row in rows for source in _sources(row)).items())),
+        dials.rules.epsilon, dials.rules.slowest,
         dials.most_repeats, dials.held_out, dials.salt, physical=dials.rules.physical,
         site=site.hash if site else "",
     )  # fmt: skip
     return Dataset(card, curated.train, curated.held_out)
+
+
+def _sources(row: Sample) -> tuple[str, ...]:
+    return (row.source, *(one.source for one in row.others))
 
 
 def other_dials(card: DatasetCard, dials: Curation) -> str:

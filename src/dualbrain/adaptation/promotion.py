@@ -14,6 +14,8 @@ from dualbrain.errors import InvalidSetup
 Values = NDArray[np.float64]
 LEAST = 30
 """Questions needed: with fewer, no difference that matters could be told from chance."""
+LEAST_PAIRED = 10
+"""Of these, those on which both have a measure that is to earn a promotion: an interval of fewer is too narrow."""
 RESAMPLES = 2000
 FLY = "measure with `dualbrain adapters measure`, without --no-fly"
 
@@ -64,7 +66,7 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Compared(msgspec.Struct, frozen=True):
     """One measure before and after. `gain` is positive where the candidate is better.
 
-    `low` and `high` bound it with 95 %; None where it was measured once.
+    `low` and `high` bound it with 95 %; None where it was measured too rarely for that.
     """
 
     before: float
@@ -185,6 +187,6 @@ def _compare(
         return None
     gains: Values = sign * (both[:, 0] - both[:, 1])
     means = gains[rng.integers(len(gains), size=(RESAMPLES, len(gains)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = map(float, np.percentile(means, [2.5, 97.5])) if len(both) >= LEAST_PAIRED else (None, None)
     after, before = both.mean(axis=0)
-    return Compared(float(before), float(after), float(gains.mean()), float(low), float(high), tolerance)
+    return Compared(float(before), float(after), float(gains.mean()), low, high, tolerance)

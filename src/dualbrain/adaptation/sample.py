@@ -9,14 +9,21 @@ import msgspec
 from dualbrain.contracts.scene_names import SceneNames
 
 
-class Sample(msgspec.Struct, frozen=True):
+class Other(msgspec.Struct, frozen=True):
+    """A near-duplicate that a sample stands for: its memory, and who proposed it."""
+
+    memory: str
+    source: str
+
+
+class Sample(msgspec.Struct, frozen=True, omit_defaults=True):
     """One line of the data set: a prompt and its completion in conversational form, as TRL and others read it.
 
     `id` names prompt and completion by content. `weight` is the memory weight w ∈ [0, 1] when the set was made, `Delta`
     and `duration` [s] those of the episode. `repeats` is how often an epoch shows it (see `balance`), `scene` names the
     group of scenes that stays on one side of the split. `events` are the numbers of its events in the ledger: its own
-    first, then those of the near-duplicates it stands for. `graspable` and `receptive` are the names a contract could
-    use there.
+    first, then those of the near-duplicates it stands for, `others` (older sets do not name them). `graspable` and
+    `receptive` are the names a contract could use there.
     """
 
     id: str
@@ -32,6 +39,12 @@ class Sample(msgspec.Struct, frozen=True):
     source: str
     graspable: tuple[str, ...]
     receptive: tuple[str, ...]
+    others: tuple[Other, ...] = ()
+
+    @property
+    def memories(self) -> frozenset[str]:
+        """Whose memory it is, and those of its near-duplicates."""
+        return frozenset((self.memory, *(one.memory for one in self.others)))
 
     @property
     def contract(self) -> str:

@@ -20,8 +20,8 @@ def scene_groups(found: Sequence[Candidate]) -> list[str]:
     """A name for the scene of each of `found`: equal names for what must stay on one side.
 
     Two episodes are linked if the same things stood at the same places up to `SAME_SCENE`, or if the planner was told
-    the same of them; links are followed to the end. The name is a hash of the oldest episode of the group, so it does
-    not change when later ones join.
+    the same of them; links are followed to the end. The name is a hash of the oldest memory's id, so it does not change
+    when later ones join, nor when a ledger is compacted: name the scenes of all that happened, not of what is chosen.
     """
     root = list(range(len(found)))
 
@@ -75,7 +75,7 @@ def _positions(scene: Scene) -> np.ndarray:
 
 
 def _name(oldest: Candidate) -> str:
-    return hashlib.sha256(f"{oldest.memo.seq}:{oldest.memo.id}".encode()).hexdigest()[:16]
+    return hashlib.sha256(oldest.memo.id.encode()).hexdigest()[:16]
 
 
 def _place(group: str, salt: str) -> float:

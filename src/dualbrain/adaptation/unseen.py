@@ -25,9 +25,9 @@ def unseen(
     ids, sets = {card.id for card in cards}, {card.dataset for card in cards}
     rows = dataset.train if dataset.card.hash in sets else ()
     uses = [use for use in _uses(ledger) if use.adapter in ids or use.dataset in sets] if ledger else []
-    taught = {row.memory for row in rows}.union(*(use.memories for use in uses))
+    taught = frozenset[str]().union(*(row.memories for row in rows), *(use.memories for use in uses))
     samples = {row.id for row in rows}
-    return tuple(one for one in asked if one.memory not in taught and one.id not in samples)
+    return tuple(one for one in asked if not one.memories & taught and one.id not in samples)
 
 
 def _uses(ledger: LedgerReader) -> list[AdapterUse]:

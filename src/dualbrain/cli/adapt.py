@@ -159,9 +159,19 @@ def _fit(
     card = night.adapt(
         dataset, dials, find_base(base, cache()), gate_judge(registry), folder, cache=cache(),
         clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
+        own=_own(),
     )  # fmt: skip
     team.once(lambda: _announce(card, dataset, folder, ledger, json=json))
     return Exit.SUCCESS
+
+
+def _own() -> list[str]:
+    """Ids of the adapters here that their base alone has taught; of one that cannot be read nothing is known."""
+    from dualbrain.cli.adapters import registry_of_adapters
+
+    registry = registry_of_adapters()
+    whole = [one for one, fault in registry.verify().items() if not fault]
+    return [one for one in whole if not registry.card(one).bootstrapped]
 
 
 def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> None:
@@ -183,7 +193,7 @@ def _note(card: Any, dataset: Any, ledger: Path | None) -> None:
     from dualbrain.cli.memory_open import memory
     from dualbrain.memory.curation import note_adapter
 
-    names = sorted({row.memory for row in dataset.train})
+    names = sorted({name for row in dataset.train for name in row.memories})
     try:
         with memory(ledger, writing="adapt") as opened:
             note_adapter(opened, card.id, card.dataset, names, now=time.time())

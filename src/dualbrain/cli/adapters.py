@@ -110,18 +110,20 @@ def canary_fault(registry: Adapters, one: str) -> str:
         return str(error)
 
 
-def heard(registry: Adapters, one: str) -> int:
-    """How many whole answers an adapter gave in the shadow."""
+def heard(registry: Adapters, one: str, champion: str) -> int:
+    """How many whole answers an adapter gave in the shadow of `champion`, "" being the bare base."""
+    from dualbrain.adaptation.serving.layers import author_of
     from dualbrain.adaptation.serving.opening import shadow_log
-    from dualbrain.adaptation.serving.shadow import glances, whole
+    from dualbrain.adaptation.serving.shadow import beside, glances, whole
 
-    return whole(glances(shadow_log(registry.folder, one)))
+    served = author_of(registry.card(champion)) if champion else registry.card(one).base
+    return whole(beside(glances(shadow_log(registry.folder, one)), served))
 
 
 def shadow_fault(one: str, count: int, least: int) -> str:
     """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
-    fix = f"let it hear more with `--planner shadow:{one[:16]}@NAME`, or waive that with `--shadow 0`"
-    return "" if count >= least else f"{count} of {least} whole answers in the shadow: {fix}"
+    fix = f"let it hear more with `--planner shadow:{one[:16]}` (@BASE if no adapter serves), or waive it: `--shadow 0`"
+    return "" if count >= least else f"{count} of {least} whole answers in the shadow of who serves: {fix}"
 
 
 def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
@@ -156,7 +158,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
-    count = heard(registry, one := registry.find(name))
+    count = heard(registry, one := registry.find(name), decision.champion)
     if decision.promotes and (fault := shadow_fault(one, count, shadow) or canary_fault(registry, one)):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from importlib import metadata
 from pathlib import Path
 
@@ -30,11 +30,12 @@ ADAPTER, RESOLVED = "adapter", "config.json"
 
 def adapt(
     dataset: Dataset, config: AdaptConfig, base: Base, judge: Judge, folder: Path, *, cache: Path,
-    clock: Callable[[], float], tell: Callable[[Progress], None], team: Team = ALONE,
+    clock: Callable[[], float], tell: Callable[[Progress], None], team: Team = ALONE, own: Collection[str] = (),
 ) -> AdapterCard:  # fmt: skip
     """Fit an adapter in `folder`, or go on with the one there, and write it with its card to `folder`/adapter.
 
-    Every process of `team` calls this with the same; the first one writes, and all get the card.
+    Every process of `team` calls this with the same; the first one writes, and all get the card. `own` are the ids of
+    adapters that `base` alone has taught: what these proposed counts as its own.
     Raises `InvalidSetup`, `Diverged`, `DiskFull`; then no adapter is written, and calling it again goes on.
     """
     device = settle(config.fit.threads or 1)
@@ -45,7 +46,8 @@ def adapt(
     fit = Fit(learner, dataset, config, judge, folder, base=base.sha256, clock=clock, team=team)
     team.once(lambda: _resolve(config, folder))
     found = fit.run(tell)
-    return team.once(lambda: _write(learner, dataset.card, config, base, folder, fit.step, found))
+    others = proposed_by_others(dataset.card.sources, base.name, own)
+    return team.once(lambda: _write(learner, dataset.card, config, base, folder, fit.step, found, others))
 
 
 def _resolve(config: AdaptConfig, folder: Path) -> None:
@@ -55,14 +57,14 @@ def _resolve(config: AdaptConfig, folder: Path) -> None:
 
 def _write(
     learner: Learner, told: DatasetCard, config: AdaptConfig, base: Base, folder: Path, steps: int,
-    found: HeldOut | None,
+    found: HeldOut | None, bootstrapped: bool,
 ) -> AdapterCard:  # fmt: skip
     """The adapter that `learner` wears, with its card."""
     packages = ("torch", "transformers", "peft", *(("bitsandbytes",) if config.fit.quantise == "nf4" else ()))
     write_adapter(learner, folder / ADAPTER, base=base.sha256)
     card = AdapterCard(
         weights_id(folder / ADAPTER), base.name, base.sha256, told.robot, told.registry, told.prompt, told.hash,
-        told.sources, proposed_by_others(told.sources, base.name), str(learner.head.dtype).removeprefix("torch."),
+        told.sources, bootstrapped, str(learner.head.dtype).removeprefix("torch."),
         steps, found, config, {name: metadata.version(name) for name in packages}, told.also,
     )  # fmt: skip
     write_card(card, folder / ADAPTER)

@@ -62,9 +62,11 @@ class Watch:
     refused when it is recorded.
     """
 
-    def __init__(self, folder: Path, card: AdapterCard, runtime: str, below: Callable[[], LlamaPlanner]) -> None:
-        """Watch the adapter of `card`."""
-        name = hashlib.sha256(f"{card.id} {runtime}".encode()).hexdigest()[:32]
+    def __init__(
+        self, folder: Path, card: AdapterCard, runtime: str, below: Callable[[], LlamaPlanner], *, worn: str = ""
+    ) -> None:
+        """Watch the adapter of `card`; `worn` is the hash of what says how it is worn."""
+        name = hashlib.sha256(f"{card.id} {worn} {runtime}".encode()).hexdigest()[:32]
         self.path = folder / f"{name}.json"
         self._card, self._runtime, self._below = card, runtime, below
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from math import prod
 from pathlib import Path
 
+from dualbrain.adaptation.adapter_card import CONFIG, hashes_beside
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.serving.gguf_base import read_gguf_base
 from dualbrain.adaptation.serving.gguf_lora import VERSION, convert
@@ -52,8 +53,8 @@ def _folder(cache: Path) -> Path:
 
 
 def _converted(layer: Layer, stack: Stack, folder: Path) -> Path:
-    base = find_file(stack.base).sha256
-    path = folder / f"{layer.card.id[:32]}-on-{base[:16]}-v{VERSION}.gguf"
+    base, scaled = find_file(stack.base).sha256, hashes_beside(layer.folder)[CONFIG]  # α is in the config
+    path = folder / f"{layer.card.id[:32]}-{scaled[:16]}-on-{base[:16]}-v{VERSION}.gguf"
     return _made(path, lambda: convert(layer.folder, stack.gguf, path))
 
 

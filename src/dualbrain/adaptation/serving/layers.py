@@ -41,6 +41,11 @@ class Stack:
         return Stack(self.base, self.gguf, self.layers[:-1])
 
 
+def author_of(card: AdapterCard) -> str:
+    """What is recorded as the author of what an adapter proposes: base and adapter."""
+    return f"{card.base}+{card.id[:16]}"
+
+
 def stack_of(folder: Path, cache: Path) -> Stack:
     """The adapter in `folder` and everything it sits on, each found to be what its card names.
 

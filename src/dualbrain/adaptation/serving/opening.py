@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from dualbrain.adaptation.adapter_card import AdapterCard
+from dualbrain.adaptation.adapter_card import CONFIG, AdapterCard, hashes_beside
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.adaptation.serving.canary import SCENES, Watch
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.gguf_cache import served, worn
-from dualbrain.adaptation.serving.layers import Stack, stack_of
+from dualbrain.adaptation.serving.layers import Stack, author_of, stack_of
 from dualbrain.adaptation.serving.names import (
     PREFIX,
     SHADOW,
@@ -160,7 +160,8 @@ def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", as
 def watch_of(planner: LlamaPlanner, stack: Stack, cache: Path, adapters: Path, config: LlamaConfig) -> Watch:
     """The canaries of the adapter on top, in the runtime of `planner`, which wears it."""
     runtime = runtime_of(planner.model)
-    return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config))
+    worn_as = hashes_beside(stack.layers[-1].folder)[CONFIG]
+    return Watch(adapters / CANARIES, stack.top, runtime, lambda: wear(stack.below, cache, config), worn=worn_as)
 
 
 def origin(planner: Planner) -> dict[str, str]:
@@ -177,4 +178,4 @@ def shadow_log(adapters: Path, adapter: str) -> Path:
 def author(name: str, stack: Stack) -> str:
     """What is recorded as the author: the name of a packaged adapter, else base and id."""
     short = name.removeprefix(PREFIX)
-    return short if short in packaged_names() else f"{stack.top.base}+{stack.top.id[:16]}"
+    return short if short in packaged_names() else author_of(stack.top)

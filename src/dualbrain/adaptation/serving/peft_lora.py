@@ -110,18 +110,35 @@ def _pair(module: str, both: dict[str, Matrix], shape: dict[str, Any]) -> Pair:
     if set(both) != {"A", "B"}:
         raise _refused(f"adapter of {module}", f"only {', '.join(both)}", "A and B")
     a, b = both["A"], both["B"]
-    rank = _of_pattern(shape.get("rank_pattern"), module, shape["r"])
-    alpha = _of_pattern(shape.get("alpha_pattern"), module, shape["lora_alpha"])
+    rank = _number("rank", _of_pattern(shape.get("rank_pattern"), module, shape.get("r")))
+    alpha = _number("alpha", _of_pattern(shape.get("alpha_pattern"), module, shape.get("lora_alpha")))
     if not a.shape[0] == b.shape[1] == rank:
         raise _refused(f"rank of {module}", (a.shape, b.shape), f"A ({rank}, in), B (out, {rank})")
     scaling = alpha / (math.sqrt(rank) if shape.get("use_rslora") else rank)
-    return Pair(a, np.asarray(b * np.float32(scaling), np.float32))
+    with np.errstate(over="ignore"):
+        scaled = np.asarray(b * np.float32(scaling), np.float32)
+        whole = np.isfinite(scaled * np.float32(rank)).all()  # as GGUF holds it
+    if not whole:
+        raise _refused(f"alpha of {module}", alpha, "one with which B is finite")
+    return Pair(a, scaled)
 
 
-def _of_pattern(pattern: dict[str, Any] | None, module: str, default: Any) -> Any:
+def _number(name: str, value: Any) -> float:
+    """A rank or α of the config; JSON as Python reads it also knows NaN and Infinity."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+        raise _refused(name, value, "a finite number above 0")
+    return value
+
+
+def _of_pattern(pattern: Any, module: str, default: Any) -> Any:
     """The value for `module`: of the first pattern that its name ends in, as peft reads them."""
-    matching = (value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module))
-    return next(matching, default)
+    if not isinstance(pattern, dict | None):
+        raise _refused("pattern", pattern, "values by layer")
+    try:
+        matching = (value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module))
+        return next(matching, default)
+    except re.error as error:
+        raise _refused("pattern", str(error), "names of layers, or expressions for them") from error
 
 
 def _refused(what: str, got: object, allowed: str) -> InvalidSetup:

@@ -21,6 +21,7 @@ from dualbrain.planner.reading import messages_of, template_of
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
+IN_TORCH = " in torch"
 PATIENCE_S = 2.0
 """How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
 
@@ -146,9 +147,14 @@ def glances(log: Path) -> tuple[Glance, ...]:
         raise InvalidSetup("log of the shadow", got=str(error), allowed="as it was written", fix=str(log)) from error
 
 
-def whole(seen: tuple[Glance, ...]) -> int:
+def whole(seen: Sequence[Glance]) -> int:
     """How many answers came to their end."""
     return sum(one.finish == STOP for one in seen)
+
+
+def beside(seen: Sequence[Glance], served: str) -> tuple[Glance, ...]:
+    """Those in the shadow of `served`, an author as proposals name it, in whatever runtime."""
+    return tuple(one for one in seen if one.served.removesuffix(IN_TORCH) == served)
 
 
 def summary(seen: tuple[Glance, ...]) -> str:
