@@ -23,6 +23,9 @@ how = open(json.loads(sys.stdin.readline())["model"]).read()
 threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
 if how == "dies":
     sys.exit()
+if how == "dies while it tells":
+    print('{{"addr', end="", flush=True)
+    sys.exit()
 if how == "cannot":
     print(json.dumps({{"error": "no model"}}), flush=True)
 if how in {{"hangs", "cannot"}}:
@@ -40,7 +43,7 @@ with socket.create_server(("127.0.0.1", 0)) as server:
 """
 """In place of the process with the model; what stands in the model's file says how it behaves."""
 LOST = {
-    "dies": protocol.CRASHED, "hangs": protocol.TIMEOUT, "cannot": protocol.ERROR,
+    "dies": protocol.CRASHED, "dies while it tells": protocol.CRASHED, "hangs": protocol.TIMEOUT, "cannot": protocol.ERROR,
     "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
 }  # fmt: skip
 

@@ -221,6 +221,7 @@ def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
 def test_a_host_may_have_a_name_of_any_letters() -> None:
     for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
         ServerPlanner(ServerConfig(url, key="sk-secret of ours"))
+    assert "secret" not in repr(ServerConfig(url, key="sk-secret of ours"))
 
 
 @pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])

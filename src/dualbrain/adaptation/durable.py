@@ -66,7 +66,10 @@ def whole_file(path: Path) -> Generator[Path]:
 
     Raises `DiskFull` for what the body cannot write.
     """
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise DiskFull(path, error.strerror or str(error)) from error
     beside = Path(name)
     os.close(descriptor)
     try:

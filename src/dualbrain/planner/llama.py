@@ -140,7 +140,12 @@ class LlamaPlanner:
         if isinstance(reply, Answer):
             return reply
         status, said = reply
-        return json.loads(said) if status == 200 else Answer("", protocol.ERROR, f"status {status}")
+        if status != 200:
+            return Answer("", protocol.ERROR, f"status {status}")
+        try:
+            return json.loads(said)
+        except ValueError:
+            return Answer("", protocol.ERROR, "no JSON")
 
     def _store(self, child: LlamaProcess, address: str) -> PrefixStore:
         folder = self._config.prefixes if self._asking.steady else None

@@ -101,7 +101,11 @@ class LlamaProcess:
         if not line:
             self._process.wait()
             return "", Answer("", protocol.CRASHED)
-        told = json.loads(line)
+        try:
+            told = json.loads(line)
+        except ValueError:  # it died in the midst of it
+            self._process.wait()
+            return "", Answer("", protocol.CRASHED)
         self._address = told.get("address", "")
         return self._address, None if self._address else Answer("", protocol.ERROR, told["error"])
 

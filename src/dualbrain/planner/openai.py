@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -64,7 +64,7 @@ class ServerConfig:
 
     url: str
     model: str = "default"
-    key: str = ""
+    key: str = field(default="", repr=False)
     dialect: str = "openai"
     max_tokens: int = 800
     timeout_s: float = 120.0
