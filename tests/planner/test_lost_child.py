@@ -43,8 +43,8 @@ with socket.create_server(("127.0.0.1", 0)) as server:
 """
 """In place of the process with the model; what stands in the model's file says how it behaves."""
 LOST = {
-    "dies": protocol.CRASHED, "dies while it tells": protocol.CRASHED, "hangs": protocol.TIMEOUT, "cannot": protocol.ERROR,
-    "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
+    "dies": protocol.CRASHED, "dies while it tells": protocol.CRASHED, "hangs": protocol.TIMEOUT,
+    "cannot": protocol.ERROR, "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
 }  # fmt: skip
 
 
