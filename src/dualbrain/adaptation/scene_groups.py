@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -40,14 +40,18 @@ def scene_groups(found: Sequence[Candidate]) -> list[str]:
 def held_out(groups: Sequence[str], share: float, salt: str) -> frozenset[str]:
     """The groups whose hash with `salt` falls below `share`; at least one and never all, if `share` > 0.
 
-    Promise: a group keeps its side when others join (but for that at-least-one), so that later rounds are tested on
-    scenes that no round has seen.
+    `groups` has a name for each sample. What alone makes up more than `share` of them teaches, for it is what the robot
+    does most of all; unless each group does.
+    Promise: a group keeps its side when others join (but for that at-least-one, and for what comes to be that large),
+    so that later rounds are tested on scenes that no round has seen.
     """
-    places = sorted((_place(group, salt), group) for group in set(groups))
-    if share <= 0.0 or len(places) < 2:
+    counts = Counter(groups)
+    if share <= 0.0 or len(counts) < 2:
         return frozenset()
+    fit = [group for group, count in counts.items() if count <= share * len(groups)] or list(counts)
+    places = sorted((_place(group, salt), group) for group in fit)
     chosen = [group for place, group in places if place < share] or [places[0][1]]
-    return frozenset(chosen[: len(places) - 1])
+    return frozenset(chosen[: len(counts) - 1])
 
 
 def _links(found: Sequence[Candidate]) -> Iterator[tuple[int, int]]:
