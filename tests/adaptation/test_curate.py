@@ -282,14 +282,12 @@ def sides_of(found):
     return {row.memory.removeprefix("x"): apart for row, apart in rows}
 
 
-@pytest.mark.parametrize("salt", "abcdefghijklmnop")
+@pytest.mark.parametrize("salt", list("abcdefghijklmnop"))
 def test_what_a_robot_does_most_of_all_teaches_whatever_the_draw(salt):
     groups = ["often"] * 21 + [f"g{i}" for i in range(79)]
     assert "often" not in held_out(groups, 0.2, salt)
-    assert held_out(groups, 0.2, salt) == held_out(groups[21:] + ["often"], 0.2, salt) - {"often"}
-    assert (
-        len(held_out(["often"] * 9 + ["now"], 0.2, salt)) == 1
-    )  # where each is that large, one is held out all the same
+    assert held_out(groups, 0.2, salt) == held_out([*groups[21:], "often"], 0.2, salt) - {"often"}
+    assert len(held_out(["a", "a", "b"], 0.2, salt)) == 1  # where each is that large, one is held out all the same
 
 
 def test_at_least_one_scene_is_held_out_and_never_all():
