@@ -171,6 +171,7 @@ def test_of_the_pass_of_questions_a_kill_costs_only_those_under_way(tmp_path, mo
     rest = list(Work(work._at)(msgspec.structs.replace(unit, done=2)))
     assert [line["key"] for line in rest] == [unit.row_key(2), unit.row_key(3)]
     assert [len(words) for words in crowd.asked] == [2, 2]
+    assert [line["key"] for line in Work(work._at)(unit)] == [unit.row_key(order) for order in range(4)]
 
 
 @pytest.mark.parametrize("dress", [PromptedPlanner, lambda inner: SpoiledPlanner(inner, "truncated")])

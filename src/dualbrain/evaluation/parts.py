@@ -9,7 +9,7 @@ from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.names import folder_of, is_adapter, without_engine
 from dualbrain.adaptation.serving.opening import unbinds
 from dualbrain.evaluation.method import find_method
-from dualbrain.evaluation.planners import DRAWN, Sources, planner_name
+from dualbrain.evaluation.planners import Sources, planner_name
 from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.table_file import require_tables
 from dualbrain.evaluation.unit import Unit
@@ -43,7 +43,7 @@ def _asks(suite: Suite, unit: Unit) -> bool:
 def require_planner(name: str, robot: str, sources: Sources) -> None:
     """Raise if the weights or the adapter of the planner called `name` are not here; nothing is known of a server."""
     core = without_engine(name)
-    if name not in DRAWN and is_adapter(core):
+    if is_adapter(core):
         stack_of(folder_of(core, Adapters(sources.adapters), robot), sources.cache)
     elif core in planner_names():
         locate(core, sources.cache)
