@@ -243,6 +243,13 @@ def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, k
     assert not server.asked
 
 
+def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> None:
+    proposal, server = ask(says(b'{"error":"no such key: sk-secret!"}', 401), model="m", key="sk-secret")
+    assert server.headers[0]["Authorization"] == "Bearer sk-secret"
+    assert proposal.finish_reason == 'error: status 401 {"error":"no such key: [key]!"}'
+    assert "secret" not in repr(proposal)
+
+
 @pytest.mark.parametrize("url", ["http://x..y/v1", "http://a b/v1", "http://host:port/v1"])
 def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
     answer = chat.post(url, b"", key="sk-secret", timeout_s=5.0)

@@ -199,7 +199,7 @@ class Adapters:
             beside.rename(target)
             sync_folder(self.folder)
         except OSError as error:
-            raise DiskFull(target, error.strerror or str(error)) from error
+            raise DiskFull(target, error) from error
         finally:
             shutil.rmtree(beside, ignore_errors=True)
 
@@ -217,7 +217,7 @@ class Adapters:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(journal.fileno())
         except OSError as error:
-            raise DiskFull(path, error.strerror or str(error)) from error
+            raise DiskFull(path, error) from error
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

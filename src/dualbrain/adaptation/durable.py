@@ -11,17 +11,18 @@ from pathlib import Path
 
 from dualbrain.errors import DualbrainError
 
-NO_SPACE = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT))
-"""How the system says that more room would help."""
+_NO_ROOM = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT))
+"""How the system says that more room would help; libraries that write for us pass on its words, not its number."""
 
 
 class DiskFull(DualbrainError):
     """A file could not be written; what stood there before stands there still."""
 
-    def __init__(self, path: Path, reason: str) -> None:
-        """Name the reason and the path."""
+    def __init__(self, path: Path, error: Exception) -> None:
+        """Name the path, and the reason by `error`."""
+        reason = getattr(error, "strerror", None) or str(error)
         self.path, self.reason = path, reason
-        fix = "Free some space." if any(words in reason for words in NO_SPACE) else "Mend that, or name another place."
+        fix = "Free some space." if any(words in reason for words in _NO_ROOM) else "Mend that, or name another place."
         super().__init__(f"not written: {reason}. What was there before is unchanged. {fix} {path}")
 
 
@@ -36,7 +37,7 @@ def require_place(path: Path) -> None:
             if path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     except OSError as error:
-        raise DiskFull(path, error.strerror or str(error)) from error
+        raise DiskFull(path, error) from error
 
 
 def write_durably(path: Path, data: bytes) -> None:
@@ -57,7 +58,7 @@ def write_durably(path: Path, data: bytes) -> None:
         finally:
             beside.unlink(missing_ok=True)
     except OSError as error:
-        raise DiskFull(path, error.strerror or str(error)) from error
+        raise DiskFull(path, error) from error
 
 
 @contextmanager
@@ -69,7 +70,7 @@ def whole_file(path: Path) -> Generator[Path]:
     try:
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise DiskFull(path, error.strerror or str(error)) from error
+        raise DiskFull(path, error) from error
     beside = Path(name)
     os.close(descriptor)
     try:
@@ -79,7 +80,7 @@ def whole_file(path: Path) -> Generator[Path]:
         beside.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        raise DiskFull(path, error.strerror or str(error)) from error
+        raise DiskFull(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
 

@@ -51,7 +51,7 @@ def ask(
         return reply
     status, data = reply
     if status != 200:
-        return Answer("", protocol.ERROR, f"status {status} {excerpt(data)}".strip())
+        return Answer("", protocol.ERROR, f"status {status} {excerpt(_without(key, data))}".strip())
     return (read or read_completion)(data)
 
 
@@ -115,6 +115,11 @@ def post(url: str, data: bytes, *, key: str, timeout_s: float) -> tuple[int, byt
     if len(body) > LARGEST_ANSWER:
         return Answer("", protocol.ERROR, f"answer longer than {LARGEST_ANSWER} bytes")
     return status, body
+
+
+def _without(key: str, data: bytes) -> bytes:
+    """`data` in which a server that repeats the `key` does not tell it to those who read the records."""
+    return data.replace(key.encode(), b"[key]") if key else data
 
 
 def _connection(url: str, timeout_s: float) -> HTTPConnection:

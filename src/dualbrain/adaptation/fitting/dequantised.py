@@ -126,10 +126,8 @@ def _writing(folder: Path) -> Generator[None]:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         yield
-    except OSError as error:
-        raise DiskFull(folder, error.strerror or str(error)) from error
-    except SafetensorError as error:
-        raise DiskFull(folder, str(error)) from error
+    except (OSError, SafetensorError) as error:
+        raise DiskFull(folder, error) from error
 
 
 @contextmanager
