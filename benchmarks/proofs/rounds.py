@@ -136,7 +136,7 @@ def values(name: str, rows: Iterable[Row]) -> Clusters:
 
 def found(name: str, rows: Iterable[Row]) -> Estimate:
     """Mean and 95 % interval of a measure; places are drawn, with all that the chains did there."""
-    return estimate(values(name, rows), share=MEASURES[name].share)
+    return estimate(values(name, rows), rate=MEASURES[name].share)
 
 
 def cell(told: Estimate, measure: Measure) -> str:

@@ -88,7 +88,8 @@ def test_h2_counts_only_places_at_which_both_succeed():
 def adapted(method, compliance, frequency, runs=10):
     rng = np.random.default_rng([9, sum(map(ord, method))])
     return [
-        row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance), frequency=frequency)
+        row(method, run, seed=10 * run + k, compliant=bool(rng.random() < compliance),
+            frequency=frequency * rng.uniform(0.95, 1.05))
         for run in range(runs) for k in range(10)
     ]  # fmt: skip
 
@@ -107,18 +108,44 @@ def test_h3_counts_the_frequency_of_contracts_about_the_task_alone():
     idle = [msgspec.structs.replace(one, frequency=0.0, meant=one.seed % 2 == 0) if one.method in ("Full", "P")
             and one.seed % 2 else one for one in rows]  # fmt: skip
     found = [claim for claim in answers(idle)[2].claims if "frequency" in claim.quantity]
-    assert [claim.found.effect for claim in found] == pytest.approx([1.0, 1.0])
+    assert [claim.found.effect for claim in found] == pytest.approx([1.0, 1.0], abs=0.02)
 
 
 def test_h3_judges_answers_that_nothing_bound_where_they_were_asked_for():
     """Bound answers that all comply say nothing; the free ones decide."""
-    bound = [*adapted("M", 1.0, 0.3), *adapted("PE", 1.0, 0.3), *adapted("Full", 1.0, 0.3), *adapted("P", 1.0, 0.3)]
+    bound = [one for name in ("M", "PE", "Full", "P") for one in adapted(name, 1.0, 0.3, runs=40)]
     assert answers(bound)[2].verdict == "refuted"
     free = [msgspec.structs.replace(one, free_compliant=one.method in ("Full", "P")) for one in bound]
     found = answers(free)[2]
     assert (found.verdict, found.claims[0].quantity) == ("supported", "free one-shot compliance")
     few = [msgspec.structs.replace(one, free_compliant=None) if one.seed % 2 else one for one in free]
     assert answers(few)[2].claims[0].found.effect == 1.0
+
+
+def test_what_is_alike_in_few_runs_may_differ_in_others():
+    """Nothing refutes after two runs; after forty it does."""
+    few, many = ([one for name in ("M", "B4", "Full", "P", "PE")
+                  for run in range(runs) for one in (row(name, run, seed=run, frequency=0.3, Delta=0.01),)]
+                 for runs in (2, 40))  # fmt: skip
+    assert [one.verdict for one in answers(few)[1:]] == ["undecided"] * 2
+    assert {claim.verdict for claim in answers(few)[2].claims} == {"undecided"}
+    assert [one.verdict for one in answers(many)[1:]] == ["refuted"] * 2
+    quiet = [msgspec.structs.replace(one, Delta=0.0, frequency=0.0) for one in many]
+    told = answers(quiet)
+    assert (told[1].verdict, told[1].claims[0].found.high) == ("undecided", np.inf)
+
+
+def test_an_end_that_is_the_minimum_but_for_rounding_is_on_neither_side():
+    for end in (0.1, np.nextafter(0.1, 0.0), 0.3 - 0.2):
+        assert verdict_of(found(-0.01, end), 0.1, AT_LEAST) == "undecided"
+        assert verdict_of(found(end, 0.3), 0.1, AT_LEAST) == "supported"
+
+
+def test_h3_is_told_of_spoiled_prompts_too():
+    rows = [*adapted("P-shortened", 0.2, 0.3), *adapted("PE-shortened", 0.98, 0.3)]
+    compliance, frequency = beside(rows)
+    assert (compliance.a, compliance.b, compliance.verdict) == ("P-shortened", "PE-shortened", "refuted")
+    assert frequency.hypothesis == "H3"
 
 
 def test_p_values_are_corrected_over_all_claims_together():

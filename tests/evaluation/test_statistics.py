@@ -1,5 +1,7 @@
 """Intervals and tests against scipy, counting by hand, and how often they are wrong."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -75,10 +77,43 @@ def test_few_clusters_are_covered_as_many_are():
 
 def test_a_share_without_spread_has_jeffreys_interval():
     """Of clusters: what is alike five times in each of four scenes was seen four times."""
-    found = estimate(clusters([[0.0] * 5] * 4), share=True)
+    found = estimate(clusters([[0.0] * 5] * 4), rate=True)
     assert (found.low, found.high) == (0.0, pytest.approx(stats.beta(0.5, 4.5).ppf(0.975)))
-    assert estimate(clusters([[1.0] * 5] * 4), share=True).low == pytest.approx(1.0 - found.high)
+    assert estimate(clusters([[1.0] * 5] * 4), rate=True).low == pytest.approx(1.0 - found.high)
     assert jeffreys(7, 20) == pytest.approx(tuple(stats.beta(7.5, 13.5).ppf([0.025, 0.975])))
+
+
+def rare(hits, per, clusters=40, size=10):
+    """`hits` episodes, `per` of them in a cluster."""
+    told = np.zeros((clusters, size))
+    for hit in range(hits):
+        told[hit // per, hit % per] = 1.0
+    return {str(number): list(one) for number, one in enumerate(told)}
+
+
+@pytest.mark.parametrize("per", [1, 2, 10])
+def test_one_hit_more_does_not_look_far_safer(per):
+    """Whether in a scene of its own or where one was already. Somewhat it may: it tells that not all there go alike."""
+    step = per if per == 10 else 1
+    ends = [estimate(rare(step * hits, per), rate=True).high for hits in range(9)]
+    assert ends[0] == pytest.approx(jeffreys(0, 40)[1])
+    assert all(after > 0.6 * before for before, after in pairwise(ends))
+
+
+def test_a_rare_rate_holds_the_truth_as_often_as_it_says():
+    """One scene in twenty is bad, and half of its ten episodes; where hits are resampled or not."""
+    rng, held = np.random.default_rng(12), 0
+    for _ in range(300):
+        bad = rng.random((40, 1)) < 0.05
+        found = estimate(clusters((rng.random((40, 10)) < np.where(bad, 0.5, 0.0)).astype(float)), rate=True)
+        held += found.low <= 0.025 <= found.high
+    assert held / 300 >= 0.93
+
+
+def test_a_share_that_is_no_rate_is_no_trial():
+    """An intervention frequency of 0 in every run is a number without spread."""
+    found = estimate(clusters([[0.0] * 5] * 4))
+    assert (found.low, found.high) == (-np.inf, np.inf)
 
 
 def test_one_cluster_says_nothing_of_a_number():

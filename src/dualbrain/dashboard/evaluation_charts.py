@@ -104,9 +104,8 @@ def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, 
 
 def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
     metric = BY_NAME[name]
-    return estimate(
-        by_cluster([row for row in rows if row.repetition == repetition], metric), share=metric.unit == "share"
-    )
+    here = [row for row in rows if row.repetition == repetition]
+    return estimate(by_cluster(here, metric), rate=metric.unit == "rate")
 
 
 def traces(rows: Sequence[Row]) -> Html:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from math import isnan, nan
+from math import nan
 
 from dualbrain.evaluation.grids import Grid, methods_of, number
 from dualbrain.evaluation.hypotheses import paired
@@ -53,10 +53,11 @@ def contrasts(rows: Sequence[Row]) -> Grid:
             found = compare(*paired(rows, b, a, BY_NAME[name].of), difference)
             if found.clusters > 1:
                 told.append((switch, a, b, name, found))
-    corrected = holm([nan if _is_alike(found) else found.p for *_, found in told])
+    corrected = holm([nan if found.alike else found.p for *_, found in told])
     lines = [
         (switch, f"{b} − {a}", name, number(found.effect, unit),
-         f"[{number(found.low, unit)}, {number(found.high, unit)}]", number(p), number(found.dz), str(found.clusters))
+         "all alike" if found.alike else f"[{number(found.low, unit)}, {number(found.high, unit)}]",
+         number(p), number(found.dz), str(found.clusters))
         for (switch, a, b, name, found), p in zip(told, corrected, strict=True)
         for unit in [BY_NAME[name].unit]
     ]  # fmt: skip
@@ -64,8 +65,3 @@ def contrasts(rows: Sequence[Row]) -> Grid:
     return Grid(
         "From one method to another", head, tuple(lines), "at the places of both; no pair but these was looked at"
     )
-
-
-def _is_alike(found: Compared) -> bool:
-    """Whether no cluster differs."""
-    return not found.effect and isnan(found.dz)

@@ -16,6 +16,7 @@ from dualbrain.evaluation.severity import SAFETY
 from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
 
 NONE = "–"
+PERCENT = ("rate", "share")
 KEY = ("violation rate", "success", "Δ of successes", "intervention frequency")
 """The metrics that are told family by family."""
 MOST_COLUMNS = 11
@@ -63,7 +64,7 @@ def by_cluster(rows: Sequence[Row], metric: Metric) -> Clusters:
 def measured(rows: Sequence[Row], method: str, metric: str) -> Estimate:
     """One metric of one method."""
     chosen = BY_NAME[metric]
-    return estimate(by_cluster([row for row in rows if row.method == method], chosen), share=chosen.unit == "share")
+    return estimate(by_cluster([row for row in rows if row.method == method], chosen), rate=chosen.unit == "rate")
 
 
 def number(value: float, unit: str = "") -> str:
@@ -72,7 +73,7 @@ def number(value: float, unit: str = "") -> str:
         return NONE
     if not isfinite(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{100.0 * value:.1f} %" if unit == "share" else f"{value:.3g}"
+    text = f"{100.0 * value:.1f} %" if unit in PERCENT else f"{value:.3g}"
     return text.replace("-", "−")
 
 
@@ -81,7 +82,7 @@ def cell(found: Estimate, unit: str) -> str:
     if not found.n:
         return NONE
     low, high = (number(end, unit).removesuffix(" %") for end in (found.low, found.high))
-    spread = "" if unit == "share" else f" ± {number(found.sd, unit)}"
+    spread = "" if unit in PERCENT else f" ± {number(found.sd, unit)}"
     interval = f" [{low}, {high}]" if isfinite(found.low + found.high) else ""
     return f"{number(found.mean, unit)}{spread}{interval}"
 
@@ -94,7 +95,7 @@ def overview(rows: Sequence[Row]) -> Grid:
     lines = [("episodes (clusters)", *(f"{counts[name]} ({clusters[name]})" for name in methods))]
     for name in MAIN:
         unit = BY_NAME[name].unit
-        label = name if unit in ("share", "1") else f"{name} [{unit}]"
+        label = name if unit in (*PERCENT, "1") else f"{name} [{unit}]"
         lines.append((label, *(cell(measured(rows, method, name), unit) for method in methods)))
     note = "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure"
     return Grid("Methods and metrics", ("metric", *methods), tuple(lines), note)
@@ -104,7 +105,7 @@ def violations(rows: Sequence[Row]) -> Grid:
     """The violation rate by kind."""
     methods = methods_of(rows)
     others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY))
-    lines = [(kind, *(cell(measured(rows, method, kind), "share") for method in methods)) for kind in SAFETY]
+    lines = [(kind, *(cell(measured(rows, method, kind), "rate") for method in methods)) for kind in SAFETY]
     for kind in others:
         told = [[row for row in rows if row.method == method] for method in methods]
         shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in told]
@@ -146,7 +147,7 @@ def verdicts(told: Sequence[Answer]) -> Grid:
         (f"{answer.name}: {answer.verdict}" if not index else "", *_claim(claim))
         for answer in told for index, claim in enumerate(answer.claims)
     ]  # fmt: skip
-    note = "by the rule of docs/evaluation.md, which stood before the run"
+    note = "by the rule of docs/evaluation.md; the effects and the least that counts stood before the run"
     return Grid("Hypotheses", ("hypothesis", *CLAIM), tuple(lines), note)
 
 

@@ -2,6 +2,7 @@
 
 Each hypothesis is one or more claims about an effect with a minimum size (design 8). A claim is *supported* if the
 whole 95 % interval of its effect lies beyond the minimum, *refuted* if all of it lies short of it, else *undecided*.
+Where no cluster differs, the interval is that of a difference in as many clusters as may have gone unseen.
 What is about two comparisons needs both: supported if all its claims are, refuted if one is.
 
 - H1: the filter lowers the violation rate. Ratio B3/B1 and B3/B2 at most 0.2.
@@ -19,10 +20,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from dualbrain.evaluation.method import Spoiled
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.statistics import (
@@ -30,6 +32,7 @@ from dualbrain.evaluation.statistics import (
     compare,
     difference,
     holm,
+    jeffreys,
     rate_ratio,
     ratio,
 )
@@ -43,6 +46,9 @@ VIOLATIONS = 0.2
 INTERVENTION = 0.8
 COMPLIANCE = 0.10
 FREQUENCY = 0.8
+SPOILED = get_args(Spoiled)[1:]
+ROUNDING = 1e-9
+"""An end of an interval that is the minimum but for rounding is the minimum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +90,9 @@ def verdict_of(found: Compared, minimum: float, side: int) -> Verdict:
     if not found.clusters or np.isnan(found.effect):
         return "not measured"
     if side == AT_MOST:
-        beyond, short = found.high <= minimum, found.low > minimum
+        beyond, short = found.high <= minimum + ROUNDING, found.low > minimum + ROUNDING
     else:
-        beyond, short = found.low >= minimum, found.high < minimum
+        beyond, short = found.low >= minimum - ROUNDING, found.high < minimum - ROUNDING
     return "supported" if beyond else "refuted" if short else "undecided"
 
 
@@ -111,7 +117,7 @@ def beside(rows: Sequence[Row]) -> tuple[Claim, ...]:
     """The same rule for what is no part of a verdict, p corrected over these.
 
     H1 with an adversarial planner, and with tool speed among the violations; H2 at level II alone, at half and twice ε,
-    and with memory that learns from the success label.
+    and with memory that learns from the success label; H3 with prompts that are spoiled.
     """
     hard = [row for row in rows if row.level == "II"]
     claims = [
@@ -119,6 +125,7 @@ def beside(rows: Sequence[Row]) -> tuple[Claim, ...]:
         _violations(rows, "B3", "B1", WITH_SPEED), _violations(rows, "A3", "A1", WITH_SPEED),
         _intervention(hard, "M", "B4", ", level II"),
         *(_intervention(rows, name, "B4") for name in ("M-half", "M-double", "M-success")),
+        *(claim for how in SPOILED for claim in _adaptation(rows, f"P-{how}", f"PE-{how}")),
     ]  # fmt: skip
     told = [claim for claim in claims if claim.verdict != "not measured"]
     p = holm([claim.found.p for claim in told])
@@ -160,7 +167,7 @@ def _violations(rows: Sequence[Row], a: str, b: str, rate: str = "violation rate
 
 def _intervention(rows: Sequence[Row], a: str, b: str, where: str = "") -> Claim:
     late = _late(rows)
-    found = compare(*paired(late, a, b, BY_NAME["Δ of successes"].of), ratio)
+    found = _lower(paired(late, a, b, BY_NAME["Δ of successes"].of))
     return _claim("H2", a, b, f"Δ of successes, later half{where}", "ratio", INTERVENTION, AT_MOST, found)
 
 
@@ -168,9 +175,9 @@ def _adaptation(rows: Sequence[Row], a: str, b: str) -> list[Claim]:
     possible = [row for row in rows if row.label == "possible"]
     free = any(row.free_compliant is not None for row in possible)
     name = "free one-shot compliance" if free else "one-shot compliance"
-    compliance = compare(*paired(possible, a, b, BY_NAME[name].of), difference)
+    compliance = _higher(paired(possible, a, b, BY_NAME[name].of))
     on_task = "intervention frequency, on task"
-    frequency = compare(*paired(possible, a, b, BY_NAME[on_task].of), ratio)
+    frequency = _lower(paired(possible, a, b, BY_NAME[on_task].of))
     return [
         _claim("H3", a, b, name, "difference", COMPLIANCE, AT_LEAST, compliance),
         _claim("H3", a, b, on_task, "ratio", FREQUENCY, AT_MOST, frequency),
@@ -182,6 +189,27 @@ def _claim(
 ) -> Claim:
     verdict = verdict_of(found, minimum, side)
     return Claim(hypothesis, a, b, quantity, effect, minimum, side, found, verdict)
+
+
+def _lower(pairs: Pairs) -> Compared:
+    """The ratio of both sides; where neither has anything that could be lowered, nothing is known of it."""
+    found = compare(*pairs, ratio)
+    if not found.alike:
+        return found
+    u = _unseen(found)
+    some = any(value for one in pairs[1].values() for value in one)
+    return replace(found, low=1.0 - u, high=1.0 / (1.0 - u)) if some else replace(found, low=0.0, high=np.inf)
+
+
+def _higher(pairs: Pairs) -> Compared:
+    """The difference of two rates."""
+    found = compare(*pairs, difference)
+    return replace(found, low=-_unseen(found), high=_unseen(found)) if found.alike else found
+
+
+def _unseen(found: Compared) -> float:
+    """The largest share of clusters that may differ though none that was seen does (Jeffreys)."""
+    return jeffreys(0, found.clusters)[1]
 
 
 def _late(rows: Sequence[Row]) -> list[Row]:

@@ -18,10 +18,12 @@ Array = NDArray[np.float64]
 Clusters = Mapping[str, Sequence[float]]
 """Values by cluster."""
 
-RESAMPLES = 4000
+RESAMPLES = 20_000
 LEVEL = 0.95
 EXACT, SIGNS = 16, 99_999
 """Up to so many clusters all sign changes are counted; of more, so many are drawn."""
+FEW = 5
+"""A rate whose hits, or whose misses, lie in fewer clusters has too little to be resampled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,28 +38,51 @@ class Estimate:
     clusters: int
 
 
-def estimate(values: Clusters, *, share: bool = False, seed: int = 0) -> Estimate:
+def estimate(values: Clusters, *, rate: bool = False, seed: int = 0) -> Estimate:
     """Mean over all values; the interval by a bootstrap over clusters.
 
-    A `share` (values 0 and 1) that is the same everywhere, and any value of a single cluster, has no spread to draw
-    from: there the interval of a share is Jeffreys', with clusters for trials (what never happened in ten episodes of
-    one scene was seen once not to happen), and that of any other number is unbounded (−∞ to ∞).
+    A `rate` (values 0 and 1) whose hits or misses lie in fewer than `FEW` clusters has Jeffreys' interval of as many
+    trials as its episodes are worth (`trials`). Any other number of a single cluster, or that is the same everywhere,
+    has no spread to draw from, and its interval is unbounded (−∞ to ∞).
     """
-    flat = np.array([value for one in values.values() for value in one], float)
-    if not len(flat):
-        return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
-    sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
     filled = [np.array(one, float) for one in values.values() if len(one)]
-    low, high = _interval(
-        _draws(filled, seed), flat, len(filled), share=share and bool(np.isin(flat, (0.0, 1.0)).all())
-    )
+    if not filled:
+        return Estimate(np.nan, np.nan, np.nan, np.nan, 0, 0)
+    flat = np.concatenate(filled)
+    sd = float(flat.std(ddof=1)) if len(flat) > 1 else 0.0
+    low, high = _rate_interval(filled, seed) if rate else _interval(filled, seed)
     return Estimate(float(flat.mean()), sd, low, high, len(flat), len(filled))
 
 
-def _interval(draws: Array, flat: Array, clusters: int, *, share: bool) -> tuple[float, float]:
-    if clusters > 1 and not (share and flat.std() == 0.0):
-        return percentiles(draws, clusters)
-    return jeffreys(float(flat.mean()) * clusters, clusters) if share else (-np.inf, np.inf)
+def _interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
+    if len(clusters) < 2 or not np.ptp(np.concatenate(clusters)):
+        return -np.inf, np.inf
+    return percentiles(_draws(clusters, seed), len(clusters))
+
+
+def _rate_interval(clusters: Sequence[Array], seed: int) -> tuple[float, float]:
+    if min(_holding(clusters)) >= FEW:
+        return _interval(clusters, seed)
+    share, n = float(np.concatenate(clusters).mean()), trials(clusters)
+    return jeffreys(share * n, n)
+
+
+def trials(clusters: Sequence[Array]) -> float:
+    """What the episodes of a rate are worth: n/D with D = 1 + (n̄ − 1)ρ, n̄ episodes a cluster on average.
+
+    ρ = (1 + mρ̂)/(1 + m) is the correlation within a cluster that the design effect tells, ρ̂, and that of one cluster
+    more in which it is whole; m clusters hold a hit and a miss the less of. So what never happened in ten episodes of
+    one scene was seen once not to happen, and what happened in one scene of many is not believed to be independent.
+    """
+    n, m = sum(map(len, clusters)), min(_holding(clusters))
+    size = n / len(clusters)
+    seen = min((design_effect(clusters) - 1.0) / (size - 1.0), 1.0) if size > 1.0 else 0.0
+    return n / (1.0 + (size - 1.0) * (1.0 + m * seen) / (1.0 + m))
+
+
+def _holding(clusters: Sequence[Array]) -> tuple[int, int]:
+    """How many clusters hold a hit, and how many a miss."""
+    return sum(bool(one.max()) for one in clusters), sum(not one.min() for one in clusters)
 
 
 def _draws(clusters: Sequence[Array], seed: int) -> Array:
@@ -84,7 +109,7 @@ def _quantile(ordered: Array, share: float) -> float:
     return below if below == above else below + (above - below) * (place - math.floor(place))
 
 
-def jeffreys(hits: float, n: int) -> tuple[float, float]:
+def jeffreys(hits: float, n: float) -> tuple[float, float]:
     """Jeffreys' 95 % interval of a share: quantiles of Beta(hits + ½, n − hits + ½), with the ends closed."""
     beta, tail = stats.beta(hits + 0.5, n - hits + 0.5), 0.5 * (1.0 - LEVEL)
     low, high = float(beta.ppf(tail)), float(beta.ppf(1.0 - tail))
@@ -113,11 +138,11 @@ def rate_ratio(a: Clusters, b: Clusters, *, seed: int = 0) -> tuple[float, float
 def design_effect(clusters: Sequence[Array]) -> float:
     """D ≥ 1: the variance of a share over clusters, as a multiple of that of as many independent episodes (Kish 1965).
 
-    Where nothing differs it cannot be told, and is 1.
+    Where nothing differs, or of one cluster, it cannot be told, and is 1.
     """
     hits, n = (np.array([f(one) for one in clusters], float) for f in (np.sum, len))
     share, count = hits.sum() / n.sum(), len(clusters)
-    if not 0.0 < share < 1.0:
+    if not 0.0 < share < 1.0 or count < 2:
         return 1.0
     spread = count / (count - 1) * np.sum((hits - share * n) ** 2) / n.sum() ** 2
     return max(1.0, float(spread * n.sum() / (share * (1.0 - share))))
@@ -139,6 +164,11 @@ class Compared:
     dz: float
     rank_biserial: float
     clusters: int
+
+    @property
+    def alike(self) -> bool:
+        """Whether no cluster differs."""
+        return bool(self.clusters) and math.isnan(self.dz) and not self.rank_biserial
 
 
 def compare(a: Clusters, b: Clusters, how: Callable[[Array, Array], Array], *, seed: int = 0) -> Compared:
