@@ -17,7 +17,7 @@ from dualbrain.adaptation.serving.packaged import packaged_names
 from dualbrain.cli import folders
 from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.statistics import compare, difference
-from dualbrain.planner.protocol import LENGTH, STOP, Planner
+from dualbrain.planner.protocol import Planner, answered
 from dualbrain.planner.registry import planner_names
 from dualbrain.runtime.classroom import lessons
 from dualbrain.runtime.proposals import EPSILON, ROBOT, request_of
@@ -54,7 +54,7 @@ class Starter:
 
     def run(self, about: dict[str, Any]) -> Row:
         """Ask, judge the answer by the gate of the scene, carry it out if it is right."""
-        return {**about, "answer": answered(about["who"], questions()[about["number"]])}
+        return {**about, "answer": score_of(about["who"], questions()[about["number"]])}
 
     def brief(self, row: Row) -> str:
         """Whether it was right."""
@@ -126,10 +126,10 @@ def planner(name: str) -> Planner:
     return Sources(folders.cache(), folders.home() / "adapters").open(name, ROBOT)
 
 
-def answered(name: str, question: Sample) -> dict[str, Any]:
+def score_of(name: str, question: Sample) -> dict[str, Any]:
     """The score of an answer, how long it took, and what became of it where it is right and something moves."""
     said = planner(name).propose(request_of(question))
-    if said.finish_reason not in {STOP, LENGTH}:
+    if not answered(said):
         raise NoAnswer(said.finish_reason)
     told = judged(question, said.text)
     deed = flight(told) if right(told) and not told["declines"] else None

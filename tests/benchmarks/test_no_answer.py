@@ -19,4 +19,4 @@ def test_an_accident_ends_the_unit(fault):
 def test_nor_is_one_counted_where_planners_are_compared(fault, monkeypatch):
     monkeypatch.setattr(starter, "planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
     with pytest.raises(NoAnswer, match=fault):
-        starter.answered(starter.SMALL, starter.questions()[0])
+        starter.score_of(starter.SMALL, starter.questions()[0])

@@ -24,8 +24,8 @@ def script(monkeypatch, tmp_path):
     monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("COLUMNS", "200")
 
-    def answering(*texts):
-        planner = ScriptedPlanner(texts)
+    def answering(*texts, **more):
+        planner = ScriptedPlanner(texts, **more)
         monkeypatch.setattr(opening, "open_planner", lambda *_, **__: planner)
         return planner
 
@@ -62,6 +62,13 @@ def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
     assert told["verdict"].get("stage") == stage
     assert told["declined"] == (stage is None)
     assert len(planner.asked) == 1
+
+
+def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(tell, script):
+    planner = script("", finish_reason="error: ConnectionRefusedError")
+    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
+    assert (code, len(planner.asked)) == (Exit.FAILED_SAFELY, 1)
+    assert "error: ConnectionRefusedError" in out
 
 
 def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, script, tmp_path):

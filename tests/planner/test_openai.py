@@ -161,6 +161,8 @@ BAD = {
     "tool call": (says(completion(None, "tool_calls")), protocol.ERROR),
     "odd finish": (says(completion(CONTRACT, "because")), protocol.ERROR),
     "finish of another type": (says(completion(CONTRACT, ["stop"])), protocol.ERROR),
+    "half a character": (says(completion(CONTRACT, "\ud800")), protocol.ERROR),
+    "half a refusal": (says(completion(None, refusal="\ud800 no")), protocol.REFUSAL),
     "500": (says(b'{"error":{"message":"boom"}}', 500), protocol.ERROR),
     "401": (says(b"who are you", 401), protocol.ERROR),
     "redirect": (says(b"", 307), protocol.ERROR),

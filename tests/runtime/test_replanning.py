@@ -5,6 +5,7 @@ import json
 import msgspec
 import pytest
 
+from dualbrain.memory.trace import LESSONS
 from dualbrain.planner.prompt import render
 from dualbrain.records import ActionResult, Episode, Outcome, Recall, Scene, Setback
 from dualbrain.runtime.replanning import goes_on, setback_of, tried
@@ -117,6 +118,22 @@ def test_a_failed_contract_is_followed_by_another_one(tmp_path):
 def test_the_tries_end_with_their_number_a_decline_or_a_refusal(tmp_path, tries, answers, kinds):
     story = play(near(tmp_path, tries=tries), *answers)
     assert [one.outcome.kind for one in (*story.finished.earlier, story.episode)] == kinds
+
+
+@pytest.mark.parametrize("how", ["error: ConnectionRefusedError", "timeout", "crashed"])
+def test_a_planner_that_gives_no_answer_is_a_fault_of_which_nothing_is_learnt(tmp_path, how):
+    story = play(settings(tmp_path, tries=3, shots=4), "", finish=how)
+    outcome = story.episode.outcome
+    assert (outcome.kind, outcome.reason) == ("stopped", f"the planner gave no answer: {how}")
+    assert (len(story.planner.asked), story.finished.earlier) == (1, ())
+    assert LESSONS[outcome.kind] == "none"
+    assert [one["episode"]["outcome"]["kind"] for one in ledger_episodes(story.config.ledger)] == ["stopped"]
+
+
+@pytest.mark.parametrize("how", ["length", "refusal: content_filter"])
+def test_an_answer_that_is_no_contract_is_the_planners_own(tmp_path, how):
+    story = play(settings(tmp_path, shots=2), "{", finish=how)
+    assert (story.episode.outcome.kind, len(story.planner.asked)) == ("rejected", 2)
 
 
 def test_without_more_tries_nothing_is_new(tmp_path):

@@ -91,6 +91,8 @@ def plan(
         answer(msgspec.json.encode(summary(instruction, planned)).decode())
     else:
         _tell(planned)
+    if not planned.answered:
+        return Exit.FAILED_SAFELY
     return Exit.REJECTED if planned.declined or not _accepted(planned) else Exit.SUCCESS
 
 

@@ -15,7 +15,7 @@ import msgspec
 
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.errors import DualbrainError
-from dualbrain.planner.protocol import LENGTH, REFUSAL, STOP, Planner, propose_all
+from dualbrain.planner.protocol import Planner, answered, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -34,7 +34,7 @@ class Accident(DualbrainError):
 
 def is_accident(proposal: Proposal) -> bool:
     """Whether `proposal` stands for a crash, a timeout or a server's error, and not for an answer or a refusal."""
-    return proposal.finish_reason not in (STOP, LENGTH, REFUSAL)
+    return not answered(proposal)
 
 
 def refuse_accident(proposal: Proposal) -> None:

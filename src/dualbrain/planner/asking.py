@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
+
+import msgspec
 
 from dualbrain.planner.grammar import actions_grammar, tail_grammar
 from dualbrain.planner.prompt import Message, header, render, template_hash
@@ -22,7 +25,7 @@ class Asking:
     """One way of asking. `grammar` makes what binds the answer after its `beginning` from the decoding schema.
 
     `hears_refusals`: what became of an earlier answer stands in the next prompt. Where it does not, the next shot is
-    drawn by chance (temperature 1, a fixed seed), for the most probable answer has just failed. `steady`: the prompt
+    drawn by chance (temperature 1; see `draw`), for the most probable answer has just failed. `steady`: the prompt
     begins alike for every question, so that a server may keep what it has read of it.
     """
 
@@ -32,6 +35,17 @@ class Asking:
     template: Callable[[], str]
     hears_refusals: bool
     steady: bool
+
+    def draw(self, request: PlanRequest) -> int | None:
+        """The seed with which the answer to `request` is drawn; None where it is the most probable one.
+
+        It follows from the shot and from what failed, so that every try draws anew and the same one can be made again.
+        """
+        failed = [request.refusal, request.setback]
+        if self.hears_refusals or failed == [None, None]:
+            return None
+        told = msgspec.json.encode([request.contract_id, *failed], order="deterministic")
+        return zlib.crc32(told) >> 1  # 31 bits: of 32 the largest means "any" to llama.cpp
 
 
 def short_messages(request: PlanRequest) -> list[Message]:

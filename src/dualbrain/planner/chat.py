@@ -66,13 +66,13 @@ def read_completion(data: bytes) -> Answer:
         return Answer("", protocol.ERROR, "not a chat completion")
     figures, build = _figures(completion), _build(completion)
     if refusal or finish == "content_filter":
-        return Answer("", protocol.REFUSAL, excerpt(str(refusal or finish).encode()), figures)
+        return Answer("", protocol.REFUSAL, excerpt(str(refusal or finish)), figures)
     if not isinstance(content, str) or not isinstance(finish, str):
         return Answer("", protocol.ERROR, "no text in the answer", figures)
     if finish in _CUT:
         return Answer(content, protocol.LENGTH, figures=figures, build=build)
     if finish not in _WHOLE:
-        return Answer("", protocol.ERROR, f"finish reason {excerpt(finish.encode())}", figures)
+        return Answer("", protocol.ERROR, f"finish reason {excerpt(finish)}", figures)
     return Answer(content, protocol.STOP, figures=figures, build=build)
 
 
@@ -152,7 +152,7 @@ def _figures(completion: dict[str, Any]) -> dict[str, float]:
 def _build(completion: dict[str, Any]) -> str:
     """The fingerprint of program and settings that some servers send."""
     said = completion.get("system_fingerprint")
-    return excerpt(said.encode("utf-8", "replace"))[:40] if isinstance(said, str) else ""
+    return excerpt(said)[:40] if isinstance(said, str) else ""
 
 
 def count(value: object) -> float | None:
@@ -162,6 +162,7 @@ def count(value: object) -> float | None:
     return float(value)
 
 
-def excerpt(data: bytes) -> str:
-    """The beginning of a server's own words, in printable ASCII."""
-    return ascii(data[:120].decode("utf-8", "replace"))[1:-1]
+def excerpt(data: bytes | str) -> str:
+    """The beginning of a server's own words, in printable ASCII; also of half a character, which JSON may bring."""
+    words = data if isinstance(data, str) else data[:120].decode("utf-8", "replace")
+    return ascii(words[:120])[1:-1]

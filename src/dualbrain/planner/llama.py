@@ -23,6 +23,9 @@ from dualbrain.records import Proposal
 
 __all__ = ["LlamaConfig", "LlamaPlanner", "Worn"]
 
+WHOLE_DISTRIBUTION = {"top_k": 0, "top_p": 1.0, "min_p": 0.0}
+"""What is drawn is drawn from what the model says, as in torch; llama.cpp would cut the tail off."""
+
 
 class LlamaPlanner:
     """Proposes with the GGUF model at `model`, wearing `adapters` (GGUF-LoRA files made for it).
@@ -114,8 +117,8 @@ class LlamaPlanner:
             body["grammar"] = self._asking.grammar(request.schema)
         kept = self._asking.steady and not self._adapters
         limits = {"max_tokens": self._config.max_tokens, "temperature": 0.0, "seed": 0, "cache_prompt": kept}
-        if self._by_chance(request):
-            limits |= {"temperature": 1.0, "seed": 1}
+        if (seed := self._asking.draw(request)) is not None:
+            limits |= {"temperature": 1.0, "seed": seed, **WHOLE_DISTRIBUTION}
         return body | limits | self._wearing()
 
     def messages(self, request: PlanRequest) -> list[Message]:
@@ -158,13 +161,10 @@ class LlamaPlanner:
         told = [{"id": number, "scale": one.scale} for number, one in enumerate(self._adapters)]
         return {"lora": told} if told else {}
 
-    def _by_chance(self, request: PlanRequest) -> bool:
-        failed = request.refusal is not None or request.setback is not None
-        return failed and not self._asking.hears_refusals
-
     def _constrained_by(self, request: PlanRequest) -> str:
         engine = FREE_BY if self._asking.grammar is None else CONSTRAINED_BY
-        return f"{engine}; drawn by chance after a failure" if self._by_chance(request) else engine
+        seed = self._asking.draw(request)
+        return engine if seed is None else f"{engine}; drawn by chance after a failure, seed {seed}"
 
     def _body(self, request: PlanRequest) -> dict[str, Any]:
         try:

@@ -45,7 +45,7 @@ def read_chat(data: bytes) -> Answer:
         case "length":
             return Answer(content, protocol.LENGTH, figures=figures)
         case _:
-            return Answer("", protocol.ERROR, f"finish reason {excerpt(str(reason).encode())}", figures)
+            return Answer("", protocol.ERROR, f"finish reason {excerpt(str(reason))}", figures)
 
 
 def _figures(told: dict[str, Any]) -> dict[str, float]:

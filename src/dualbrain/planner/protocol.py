@@ -22,6 +22,11 @@ ERROR = "error"
 """The server answered with an error, or with something that is not a chat completion; the detail follows a colon."""
 
 
+def answered(proposal: Proposal) -> bool:
+    """Whether the model said anything, if only that it refuses; not where a crash, an error or time cut it short."""
+    return proposal.finish_reason.partition(":")[0] in (STOP, LENGTH, REFUSAL)
+
+
 class Planner(Protocol):
     """Turns an instruction into a proposal; knows nothing of the robot and is never believed (paper 3.2)."""
 

@@ -5,7 +5,7 @@ Data flows one way; what seems to flow back is a value: a refusal in the second 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, get_args
 
@@ -21,7 +21,7 @@ from dualbrain.memory.picture import Picture
 from dualbrain.memory.posture import Posture
 from dualbrain.memory.store import StoreReport
 from dualbrain.planner.prompt import MAX_RECALLED
-from dualbrain.planner.protocol import STOP, Planner
+from dualbrain.planner.protocol import STOP, Planner, answered
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Setback
 from dualbrain.runtime.decision import timings
 from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate, RemoteLayer
@@ -122,13 +122,13 @@ def run_episode(
         attempts.append(Attempt(msgspec.structs.replace(proposal, text=storable(proposal.text)), verdict, gate_s))
         layer.log.attempt(layer.state.stamp, attempts[-1])
         layer.log.note(layer.state.stamp, "verdict", _verdict_words(shot, verdict))
-        if isinstance(verdict, Accepted):
+        if isinstance(verdict, Accepted) or not answered(proposal):
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{shot + 1:04d}")
     contract = verdict.contract if isinstance(verdict, Accepted) else None
     if contract:
         witness.begin(contract)
-    outcome = layer.run(contract) if contract else _unmoved(layer, len(attempts), verdict)
+    outcome = layer.run(contract) if contract else _unmoved(layer, attempts)
     episode = Episode(
         errand.id, errand.started, errand.instruction, layer.body.name, registry.hash, errand.seed, scene, here.summary,
         recall, tuple(attempts), msgspec.to_builtins(contract) if contract else None, outcome,
@@ -162,11 +162,18 @@ def _check(gate: Gate | RemoteGate | Door, proposal: Proposal, names: SceneNames
     return unfinished(proposal) or gate.check(data, names=names, principal=PLANNER, now=now, stamp=stamp)
 
 
-def _unmoved(layer: LocalLayer | RemoteLayer, shots: int, verdict: Verdict | None) -> Outcome:
-    """The outcome when no contract was accepted: nothing has moved."""
+def _unmoved(layer: LocalLayer | RemoteLayer, attempts: Sequence[Attempt]) -> Outcome:
+    """The outcome when no contract was accepted: nothing has moved.
+
+    A planner that gave no answer is a fault, of which nothing is learnt; one whose answer was refused is not.
+    """
     if layer.interrupted():
         return Outcome("aborted", "interrupted by a person before a contract was accepted")
-    return Outcome("rejected", _verdict_words(shots, verdict))
+    if not attempts:
+        return Outcome("rejected", _verdict_words(0, None))
+    if not answered(attempts[-1].proposal):
+        return Outcome("stopped", f"the planner gave no answer: {attempts[-1].proposal.finish_reason}")
+    return Outcome("rejected", _verdict_words(len(attempts), attempts[-1].verdict))
 
 
 def _against_scene(contract: Contract, layer: LocalLayer) -> Rejected | None:

@@ -18,7 +18,7 @@ from dualbrain.embodiment.body import load_body
 from dualbrain.embodiment.robot import at_home
 from dualbrain.memory.posture import Posture
 from dualbrain.planner.prompt import MAX_RECALLED, Message
-from dualbrain.planner.protocol import Planner
+from dualbrain.planner.protocol import Planner, answered
 from dualbrain.planner.reading import messages_of, template_of, unread
 from dualbrain.records import Attempt, Proposal, Recall, Scene
 from dualbrain.runtime.decision import timings
@@ -65,6 +65,11 @@ class Planned:
         return unread(self.template, self.recall)
 
     @property
+    def answered(self) -> bool:
+        """Whether the planner said anything at all."""
+        return answered(self.shots[-1].attempt.proposal)
+
+    @property
     def declined(self) -> bool:
         """Whether the planner refused the instruction."""
         verdict = self.verdict
@@ -93,7 +98,7 @@ def plan(
         verdict, spent = _timed(clock, lambda answer=proposal: unfinished(answer) or _check(gate, answer, here.scene))
         kept = msgspec.structs.replace(proposal, text=storable(proposal.text))
         done.append(Shot(prompt, Attempt(kept, verdict, spent)))
-        if not isinstance(verdict, Rejected):
+        if not isinstance(verdict, Rejected) or not answered(proposal):
             break
         request = msgspec.structs.replace(request, refusal=verdict, contract_id=f"c-{len(done) + 1:04d}")
     spent = timings([one.attempt for one in done], retrieval)

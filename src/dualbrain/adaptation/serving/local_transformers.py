@@ -138,7 +138,7 @@ class TorchPlanner:
         given += tokenizer(beginning, add_special_tokens=False)["input_ids"] if beginning else []
         bound = Binding(vocabulary, grammar) if grammar else None
         guide = None if grammar else Binding(vocabulary, contract_grammar(request.schema))
-        seed = 1 if self._by_chance(request) else None
+        seed = self._asking.draw(request)
         longest = self._config.max_tokens
         return Reply(given, end=tokenizer.eos_token_id, longest=longest, bound=bound, guide=guide, seed=seed)
 
@@ -169,12 +169,9 @@ class TorchPlanner:
             got = json.dumps(str(error))
             raise InvalidSetup("decoding schema", got=got, allowed="an object with action_sequence") from error
 
-    def _by_chance(self, request: PlanRequest) -> bool:
-        failed = request.refusal is not None or request.setback is not None
-        return failed and not self._asking.hears_refusals
-
     def _constrained_by(self, request: PlanRequest) -> str:
         version = llguidance.get_version() if hasattr(llguidance, "get_version") else ""
         engine = f"llguidance {version} in transformers; header given".replace("  ", " ")
         engine = engine if self._asking.grammar is not None else FREE_BY
-        return f"{engine}; drawn by chance after a failure" if self._by_chance(request) else engine
+        seed = self._asking.draw(request)
+        return engine if seed is None else f"{engine}; drawn by chance after a failure, seed {seed}"
