@@ -222,8 +222,24 @@ def test_an_address_that_cannot_be_asked_is_a_broken_setup(url: str) -> None:
 
 def test_a_host_may_have_a_name_of_any_letters() -> None:
     for url in ("http://b\xfccher.example/v1", "http://[::1]:80/v1", "https://host./v1"):
-        ServerPlanner(ServerConfig(url, key="sk-secret of ours"))
+        ServerPlanner(ServerConfig(url))
     assert "secret" not in repr(ServerConfig(url, key="sk-secret of ours"))
+
+
+@pytest.mark.parametrize(
+    "host", ["lan-server:8000", "10.0.0.7", "[fd00::1]", "localhost.evil.example", "127.0.0.1.nip.io"]
+)
+def test_a_key_is_not_sent_where_all_can_read_it(host: str) -> None:
+    with pytest.raises(InvalidSetup, match="https") as raised:
+        ServerPlanner(ServerConfig(f"http://{host}/v1", key="sk-secret"))
+    assert "secret" not in str(raised.value)
+    ServerPlanner(ServerConfig(f"http://{host}/v1"))
+    ServerPlanner(ServerConfig(f"https://{host}/v1", key="sk-secret"))
+
+
+@pytest.mark.parametrize("host", ["localhost:8000", "LOCALHOST", "127.0.0.1", "127.9.9.9:1", "[::1]:80"])
+def test_on_this_machine_it_is(host: str) -> None:
+    ServerPlanner(ServerConfig(f"http://{host}/v1", key="sk-secret"))
 
 
 @pytest.mark.parametrize("stray", ["\r", "\n", "\r\n", "\t", "\0", "\xe9", "\u2028"])

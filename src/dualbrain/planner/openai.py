@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -79,6 +80,7 @@ class ServerPlanner:
     def __init__(self, config: ServerConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
         _require_address(config.url)
         _require_key(config.key)
+        _require_secrecy(config)
         if config.dialect not in DIALECTS:
             raise UnknownName("dialect", config.dialect, tuple(DIALECTS))
         self._config, self._clock, self._dialect = config, clock, DIALECTS[config.dialect]
@@ -134,6 +136,23 @@ def _require_address(url: str) -> None:
     if not fine:
         allowed = "http://HOST[:PORT]/v1 or https://HOST[:PORT]/v1, the path in printable ASCII (é as %C3%A9)"
         raise InvalidSetup("planner address", got=url, allowed=allowed)
+
+
+def _require_secrecy(config: ServerConfig) -> None:
+    """A key is not sent where all on the way can read it: over plain http it stays on this machine."""
+    address = urlsplit(config.url)
+    host = address.hostname or ""
+    if config.key and address.scheme == "http" and not _is_here(host):
+        fix = "Name an https address, lead a tunnel to a port of this machine, or leave the key out (OPENAI_API_KEY=)."
+        allowed = "https, or http to this machine"
+        raise InvalidSetup("planner address that a key is sent to", got=f"http://{host}", allowed=allowed, fix=fix)
+
+
+def _is_here(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _require_key(key: str) -> None:
