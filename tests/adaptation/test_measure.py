@@ -155,6 +155,7 @@ def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate
     assert adapters_measure.measure(one[:12], data=home / "data", out=home / "m.json", fly=False) == 0
     found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
     assert (found.candidate.adapter, found.champion.adapter, found.dataset) == (one, "", data.card.hash)
+    assert found.candidate.runtime == adapters_command.runtime_here(Adapters(home / "adapters"), one)
     assert len(found.candidate.trials) == LEAST
     assert found.candidate.perplexity != found.champion.perplexity
     assert "not flown, so nothing can be promoted" in capsys.readouterr().err

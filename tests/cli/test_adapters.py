@@ -55,6 +55,7 @@ def sings(monkeypatch):
     """Canaries of adapters that are no adapters: what is wrong with their answers."""
     faults = {}
     monkeypatch.setattr("dualbrain.cli.adapters.canary_fault", lambda registry, one: faults.get(one, ""))
+    monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama")
     return faults
 
 
@@ -185,6 +186,32 @@ def test_the_journal_names_the_data_set_of_the_measurement(tell, name, tmp_path,
     assert Adapters(tmp_path / "adapters").journal()[-1].decision.dataset == "d" * 64
 
 
+def test_only_what_was_measured_in_the_runtime_that_serves_is_promoted(tell, name, tmp_path, sings):
+    elsewhere = Measured(results(name, 58, runtime="another"), results("", 20, runtime="another"))
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(elsewhere))
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)
+    assert (code, "runtime of the measurement: got 'another', allowed: llama. Measure again" in err) == (5, True)
+    assert last(tmp_path).kind == "added"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_who_serves_in_another_runtime_than_it_was_measured_in_is_named(tell, name, tmp_path, sings, monkeypatch, kept):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    assert last(tmp_path).decision.runtime == "llama"
+    assert json.loads(tell("adapters", "list", "--json")[1])["measured_elsewhere"] == {}
+    if kept:
+        monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama 2")
+    else:
+        journal = tmp_path / "adapters" / "journal.jsonl"
+        journal.write_text(journal.read_text().replace(',"runtime":"llama"', ""))
+    words = "was measured in " + ("llama: " if kept else "a runtime that was not recorded: ")
+    code, out, _ = tell("adapters", "verify")
+    assert (code, words in out) == (Exit.SUCCESS, True)
+    assert words in json.loads(tell("adapters", "list", "--json")[1])["measured_elsewhere"][name]
+    assert words in " ".join(tell("adapters", "list")[2].split())
+
+
 @pytest.mark.parametrize("base", [(), ("--base", "base-135m")])
 def test_where_nothing_was_ever_added_there_is_nothing_to_roll_back(tell, tmp_path, base):
     code, out, err = tell("adapters", "rollback", "--reason", "a test", *base)
@@ -201,4 +228,9 @@ def test_what_is_not_there_is_told(tell, arguments):
 
 
 def test_an_empty_registry_is_no_error(tell):
-    assert json.loads(tell("adapters", "list", "--json")[1]) == {"adapters": [], "serving": [], "damaged": {}}
+    assert json.loads(tell("adapters", "list", "--json")[1]) == {
+        "adapters": [],
+        "serving": [],
+        "damaged": {},
+        "measured_elsewhere": {},
+    }

@@ -121,6 +121,12 @@ class Adapters:
         places = dict.fromkeys(entry.place for entry in self.journal())
         return tuple(one for one in map(self.champion, places) if one != BARE)
 
+    def decision(self, one: str) -> Decision | None:
+        """The decision by which the adapter `one` was promoted last, None if it never was."""
+        return next(
+            (entry.decision for entry in reversed(self.journal()) if entry.adapter == one and entry.decision), None
+        )
+
     def promote(self, name: str, decision: Decision, *, now: float, reason: str = "") -> None:
         """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
 

@@ -45,9 +45,10 @@ def list_adapters(*, json: Flag = False) -> int:
     registry = registry_of_adapters()
     damaged = {one: fault for one, fault in registry.verify().items() if fault}
     cards = [registry.card(one) for one in registry.ids() if one not in damaged]
-    serving = registry.serving()
+    serving, unmeasured = registry.serving(), measured_elsewhere(registry)
     if json:
-        tell({"adapters": cards, "serving": sorted(serving), "damaged": damaged})
+        told = {"adapters": cards, "serving": sorted(serving), "damaged": damaged}
+        tell(told | {"measured_elsewhere": unmeasured})
         return Exit.SUCCESS
     table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
     for card in cards:
@@ -57,6 +58,8 @@ def list_adapters(*, json: Flag = False) -> int:
     Console().print(table)
     for one, fault in damaged.items():
         Account().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
+    for one, words in unmeasured.items():
+        Account().print(f"{one[:16]} {words}")
     return Exit.SUCCESS
 
 
@@ -83,7 +86,8 @@ def show(name: str, /) -> int:
 def verify(*, answers: Flag = False) -> int:
     """Check that every adapter is as it was added: weights, config, card. Exit code 1 if not.
 
-    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded.
+    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded. Who
+    serves in another runtime than it was measured in is named; nothing of it is damaged.
 
     Parameters
     ----------
@@ -97,6 +101,8 @@ def verify(*, answers: Flag = False) -> int:
     for one, fault in found.items():
         unknown = "" if registry.recorded(one) else "; config and card were not recorded when it was added"
         answer(f"{one[:16]} {fault or 'whole'}{unknown}")
+    for one, words in measured_elsewhere(registry).items():
+        answer(f"{one[:16]} {words}")
     return Exit.FAILED_SAFELY if any(found.values()) else Exit.SUCCESS
 
 
@@ -108,6 +114,39 @@ def canary_fault(registry: Adapters, one: str) -> str:
         return examine(registry.at(one), cache(), registry.folder)
     except DualbrainError as error:
         return str(error)
+
+
+def runtime_here(registry: Adapters, one: str) -> str:
+    """The runtime in which an adapter serves here; raises `InvalidSetup`, `MissingPart` where it cannot serve."""
+    from dualbrain.adaptation.serving import opening
+
+    return opening.runtime_here(registry.at(one), cache())
+
+
+def require_runtime(registry: Adapters, one: str, measured: str) -> None:
+    """Raise `InvalidSetup` if `measured` is not the runtime in which an adapter serves here."""
+    from dualbrain.adaptation.promotion import AGAIN
+
+    if measured != (here := runtime_here(registry, one)):
+        raise InvalidSetup("runtime of the measurement", got=measured, allowed=here, fix=AGAIN)
+
+
+def measured_elsewhere(registry: Adapters) -> dict[str, str]:
+    """Who serves in another runtime than it was measured in, in words by id; who cannot serve here is left out."""
+    return {one: words for one in registry.serving() if (words := _elsewhere(registry, one))}
+
+
+def _elsewhere(registry: Adapters, one: str) -> str:
+    try:
+        here = runtime_here(registry, one)
+    except DualbrainError:
+        return ""
+    decision = registry.decision(one)
+    measured = decision.runtime if decision else ""
+    if measured == here:
+        return ""
+    how = "to measure it here, roll it back, then `dualbrain adapters measure` and `promote`"
+    return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {how}"
 
 
 def heard(registry: Adapters, one: str, champion: str) -> int:
@@ -155,10 +194,11 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
         results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
     )
     registry = registry_of_adapters()
+    require_runtime(registry, one := registry.find(name), decision.runtime)
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
-    count = heard(registry, one := registry.find(name), decision.champion)
+    count = heard(registry, one, decision.champion)
     if decision.promotes and (fault := shadow_fault(one, count, shadow) or canary_fault(registry, one)):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY
