@@ -181,6 +181,10 @@ def test_the_place_for_the_results_is_tried_before_the_first_question(home, monk
     assert adapters_measure.measure(one, data=home / "data", out=out, fly=False) == 0
     assert msgspec.json.decode(out.read_bytes(), type=Measured).candidate.adapter == asked[0] == one
     assert list(out.parent.iterdir()) == [out]
+    lower = read_adapter_card(home / "packaged" / "first").id
+    for name, who in (("first", lower), (str(home / "fit"), one), (f"adapter:{one}", one)):
+        assert adapters_measure.measure(name, data=home / "data", out=out, fly=False) == 0
+        assert asked[-2:] == [who, ""]
 
 
 def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_asked(

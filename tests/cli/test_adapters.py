@@ -5,12 +5,13 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card, weights_id, write_card
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
 from dualbrain.adaptation.serving.opening import shadow_log
+from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.shadow import Glance
 from dualbrain.cli.adapters import HEARD
 from dualbrain.cli.exits import Exit
@@ -93,6 +94,55 @@ def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
     assert "were changed" in out
     assert tell("adapters", "export", name[:8], "out2")[0] == Exit.SETUP
     assert not (tmp_path / "out2").exists()
+
+
+@pytest.mark.parametrize("prefix", ["", "adapter:"])
+def test_every_command_knows_an_adapter_by_all_of_its_names(tell, name, tmp_path, sings, prefix):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", prefix + name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    left = tmp_path / "source of weights"
+    packaged = read_adapter_card(packaged_folder("base-135m")).id
+    names = {name[:8]: name, "champion": name, str(left): name, "base-135m": packaged}
+    for number, (short, one) in enumerate(names.items()):
+        code, out, err = tell("adapters", "show", prefix + short)
+        assert (code, json.loads(out)["card"]["id"]) == (Exit.SUCCESS, one), err
+        assert tell("adapters", "export", prefix + short, f"out{number}")[0] == Exit.SUCCESS
+        assert weights_id(tmp_path / f"out{number}") == one
+    assert tell("adapters", "diff", prefix + "base-135m", f"{prefix}starter-135m", "--json")[0] == Exit.SUCCESS
+    for words in (("show", prefix + "champion"), ("export", prefix + "champion", "none"), ("diff", "champion", name)):
+        code, _, err = tell("adapters", *words, "--robot", "ur5e")
+        assert (code, "champion of ur5e: got 'none'" in err) == (Exit.SETUP, True)
+    code, _, err = tell("adapters", "show", prefix + "nobody")
+    assert (code, "base-135m, champion" in err) == (Exit.SETUP, True)
+
+
+@pytest.fixture
+def measurable(monkeypatch):
+    """A measurement is let in as far as to who serves."""
+    monkeypatch.setattr("dualbrain.adaptation.dataset.read_dataset", lambda folder: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_prompt", lambda card: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_fit", lambda *told: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.layers.locate", lambda *told: None)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_damaged_champion_is_told_with_the_way_out(tell, name, tmp_path, sings, measurable, measured):
+    another = put(tmp_path, "more weights")
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    (tmp_path / "adapters" / name / WEIGHTS).write_bytes(b"others")
+    measure = ("adapters", "measure", another, "--data", "data", "--out", "o.json")
+    code, _, err = tell(*(measure if measured else ("plan", "go", "--planner", "adapter:champion")))
+    assert (code, f"champion {name[:16]}" in err, "dualbrain adapters rollback" in err) == (Exit.SETUP, True, True)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_who_serves_is_no_candidate(tell, name, tmp_path, sings, measurable, named):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    who = name[:8] if named else "champion"
+    code, _, err = tell("adapters", "measure", who, "--data", "data", "--out", "o.json")
+    assert (code, "candidate: got 'the champion itself'" in err) == (Exit.SETUP, True)
 
 
 def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_exported(tell, name, tmp_path):

@@ -167,15 +167,16 @@ class Adapters:
                 raise InvalidSetup("champion", got="the bare base", allowed="a promoted adapter")
             for former in reversed(history[:-1]):
                 self._append(Entry("rolled back", former, place, now, reason))
-                if former == BARE or not (reason := self._fault(former)):
+                if former == BARE or not (reason := self.fault(former)):
                     return former
             return BARE
 
     def verify(self) -> dict[str, str]:
         """What is wrong with each adapter, "" if nothing is."""
-        return {one: self._fault(one) for one in self.ids()}
+        return {one: self.fault(one) for one in self.ids()}
 
-    def _fault(self, one: str) -> str:
+    def fault(self, one: str) -> str:
+        """What is wrong with the adapter `one`, "" if nothing is."""
         try:
             card = self.card(one)
         except DualbrainError as error:

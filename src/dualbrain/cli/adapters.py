@@ -63,21 +63,27 @@ def list_adapters(*, json: Flag = False) -> int:
     return Exit.SUCCESS
 
 
-def show(name: str, /) -> int:
+def show(name: str, /, *, robot: str = "panda") -> int:
     """Show the card of one adapter and what became of it, as JSON. Exit code 1 if it is damaged.
 
     Parameters
     ----------
     name
-        The beginning of its id.
+        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
+    robot
+        Whose champion.
     """
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.names import folder_of, id_of, in_registry
     from dualbrain.adaptation.serving.opening import shadow_log
     from dualbrain.adaptation.serving.shadow import glances, summary
 
     registry = registry_of_adapters()
-    one = registry.find(name)
-    fault = registry.verify()[one]
-    told: dict[str, Any] = {"damaged": fault} if fault else {"card": registry.card(one)}
+    one = id_of(name, registry, robot)
+    fault = registry.fault(one) if in_registry(name) else ""
+    told: dict[str, Any] = (
+        {"damaged": fault} if fault else {"card": read_adapter_card(folder_of(name, registry, robot))}
+    )
     told["journal"] = [entry for entry in registry.journal() if entry.adapter == one]
     tell(told | {"shadow": summary(glances(shadow_log(registry.folder, one)))})
     return Exit.FAILED_SAFELY if fault else Exit.SUCCESS
@@ -184,6 +190,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
 
     from dualbrain.adaptation.adapters import NotPromoted
     from dualbrain.adaptation.promotion import Measured, Tolerances, decide
+    from dualbrain.adaptation.serving.names import PREFIX
 
     try:
         results = msgspec.json.decode(measured.read_bytes(), type=Measured)
@@ -194,7 +201,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
         results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
     )
     registry = registry_of_adapters()
-    require_runtime(registry, one := registry.find(name), decision.runtime)
+    require_runtime(registry, one := registry.find(name.removeprefix(PREFIX)), decision.runtime)
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
@@ -204,7 +211,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
         return Exit.FAILED_SAFELY
     reason = f"{count} answers in the shadow" if shadow else f"the shadow was waived, with {count} answers in it"
     try:
-        registry.promote(name, decision, now=time.time(), reason=reason)
+        registry.promote(one, decision, now=time.time(), reason=reason)
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY

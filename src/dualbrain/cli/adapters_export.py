@@ -22,25 +22,27 @@ Flag = Annotated[bool, Parameter(negative="")]
 Form = Literal["peft", "gguf", "merged"]
 
 
-def export(name: str, out: Path, /, *, form: Form = "peft") -> int:
+def export(name: str, out: Path, /, *, form: Form = "peft", robot: str = "panda") -> int:
     """Write an adapter, verified, for other programs; what it sits on besides the model is put into it.
 
     Parameters
     ----------
     name
-        The beginning of its id, or the name of one that comes with dualbrain.
+        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
     out
         A new folder (peft), or a new file (gguf, merged).
     form
         peft: a folder that peft and vLLM load on the dequantised base. gguf: a GGUF-LoRA file for llama.cpp on the
         untouched base. merged: base and adapter as one GGUF in float16, for programs that load no adapters.
+    robot
+        Whose champion.
     """
     from dualbrain.adaptation.serving.layers import stack_of
     from dualbrain.adaptation.serving.names import folder_of
 
     if out.exists():
         raise InvalidSetup("place to export to", got=str(out), allowed="a name that is free")
-    folder = folder_of(name if name.startswith("adapter:") else f"adapter:{name}", registry_of_adapters())
+    folder = folder_of(name, registry_of_adapters(), robot)
     if form == "peft" and _alone(folder):
         shutil.copytree(folder, out)
     else:
@@ -67,7 +69,7 @@ def _alone(folder: Path) -> bool:
     return read_adapter_card(folder).base not in packaged_names()
 
 
-def diff(first: str, second: str, /, *, json: Flag = False) -> int:
+def diff(first: str, second: str, /, *, robot: str = "panda", json: Flag = False) -> int:
     """Tell two adapters apart: how they were made, and how far what they compute differs, layer by layer.
 
     What only one of them sits on besides the model counts as its own.
@@ -75,9 +77,11 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     Parameters
     ----------
     first
-        The beginning of an id, or the name of one that comes with dualbrain.
+        The beginning of an id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
     second
         Another.
+    robot
+        Whose champion.
     json
         Print one JSON object on stdout.
     """
@@ -86,7 +90,7 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     from dualbrain.adaptation.serving.names import folder_of
 
     registry = registry_of_adapters()
-    folders = [folder_of(f"adapter:{name}", registry) for name in (first, second)]
+    folders = [folder_of(name, registry, robot) for name in (first, second)]
     cards = [read_adapter_card(folder) for folder in folders]
     apart, found = told_apart(cards[0], cards[1]), gaps(*_computed(*folders))
     if json:
