@@ -217,12 +217,13 @@ def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp
     tell("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
-    command._note(card, dataset, ledger)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)  # once is enough
     with LedgerReader(ledger) as opened:
         (event,) = opened.events(f"kind = '{ADAPTER}'")
     noted = msgspec.json.decode(event.payload, type=AdapterUse)
     assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
-    command._note(card, dataset, tmp_path / "none.sqlite")
+    assert not command._note(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
     assert "not written into the ledger" in capsys.readouterr().err
 
 
