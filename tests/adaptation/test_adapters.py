@@ -6,7 +6,7 @@ import resource
 import pytest
 
 from dualbrain.adaptation.adapter_card import BESIDE, CONFIG, WEIGHTS, AdapterCard, weights_id, write_card
-from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, place_of
+from dualbrain.adaptation.adapters import BARE, JOURNAL, UNRECORDED, Adapters, NotPromoted, place_of
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import Decision
@@ -176,6 +176,21 @@ def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
     assert registry.champion(PLACE) == two[0]
     assert registry.roll_back(PLACE, "a test", now=3.0) == BARE
     assert [json.loads(line)["kind"] for line in path.read_text().splitlines()][-2:] == ["promoted", "rolled back"]
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_added_again(registry, two, tmp_path, kept):
+    path = registry.folder / JOURNAL
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
+    (registry.folder / "canaries").mkdir()
+    lost = two[kept:]
+    assert set(registry.unrecorded()) == set(lost)
+    for one in two:
+        assert registry.verify()[one] == (UNRECORDED if one in lost else "")
+    for words in ("first", "second"):
+        registry.add(tmp_path / words, now=9.0)
+    assert registry.verify() == dict.fromkeys(two, "")
+    assert registry.recorded(two[1])
 
 
 def test_a_damaged_journal_is_told(registry, two):

@@ -277,7 +277,19 @@ def test_what_is_not_there_is_told(tell, arguments):
     assert "abcd" in err or "none.json" in err
 
 
+def test_a_lost_journal_is_told(tell, name, tmp_path):
+    (tmp_path / "adapters" / "journal.jsonl").rename(tmp_path / "elsewhere")
+    code, out, _ = tell("adapters", "verify")
+    assert (code, f"{name[:16]} its folder is here, but the journal does not" in out) == (Exit.FAILED_SAFELY, True)
+    assert "config and card were not recorded" not in out
+    assert name in json.loads(tell("adapters", "list", "--json")[1])["damaged"]
+    assert "its folder is here" in tell("adapters", "list")[2]
+
+
 def test_an_empty_registry_is_no_error(tell):
+    for command in ("list", "verify"):
+        code, out, err = tell("adapters", command)
+        assert (code, out, "dualbrain adapt" in " ".join(err.split())) == (Exit.SUCCESS, "", True)
     assert json.loads(tell("adapters", "list", "--json")[1]) == {
         "adapters": [],
         "serving": [],

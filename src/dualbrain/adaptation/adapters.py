@@ -32,6 +32,12 @@ BARE = ""
 """The id of no adapter: the base as it is."""
 
 
+UNRECORDED = (
+    "its folder is here, but the journal does not tell of it: that was lost or cut short, or a crash came between. "
+    "Put the journal back, for who serves stands there alone; or give the `dualbrain adapt --out` that made this again"
+)
+
+
 class Entry(msgspec.Struct, frozen=True):
     """One line of the journal: what was done to `adapter`, at `time` [s, 1970 UTC], why, and on what measurement.
 
@@ -172,8 +178,13 @@ class Adapters:
             return BARE
 
     def verify(self) -> dict[str, str]:
-        """What is wrong with each adapter, "" if nothing is."""
-        return {one: self.fault(one) for one in self.ids()}
+        """What is wrong with each adapter, "" if nothing is; a folder that the journal does not tell of is a fault."""
+        return {one: self.fault(one) for one in self.ids()} | dict.fromkeys(self.unrecorded(), UNRECORDED)
+
+    def unrecorded(self) -> tuple[str, ...]:
+        """The adapters whose folder is here without an entry in the journal."""
+        known = set(self.ids())
+        return tuple(path.name for path in sorted(self.folder.glob("[0-9a-f]" * 64)) if path.name not in known)
 
     def fault(self, one: str) -> str:
         """What is wrong with the adapter `one`, "" if nothing is."""

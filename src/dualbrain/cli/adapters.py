@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Count = Annotated[int, Parameter(validator=validators.Number(gte=0))]
+MAKE = "`dualbrain adapt` makes them, of what went well"
 HEARD = 10
 """Whole answers in the shadow before a promotion: enough to see that it answers what is really asked; no measure."""
 
@@ -49,6 +50,9 @@ def list_adapters(*, json: Flag = False) -> int:
     if json:
         told = {"adapters": cards, "serving": sorted(serving), "damaged": damaged}
         tell(told | {"measured_elsewhere": unmeasured})
+        return Exit.SUCCESS
+    if not cards and not damaged:
+        Account().print(f"no adapters in {registry.folder}: {MAKE}", markup=False)
         return Exit.SUCCESS
     table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
     for card in cards:
@@ -90,7 +94,7 @@ def show(name: str, /, *, robot: str = "panda") -> int:
 
 
 def verify(*, answers: Flag = False) -> int:
-    """Check that every adapter is as it was added: weights, config, card. Exit code 1 if not.
+    """Check that every adapter is as it was added: weights, config, card, journal. Exit code 1 if not.
 
     Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded. Who
     serves in another runtime than it was measured in is named; nothing of it is damaged.
@@ -101,11 +105,15 @@ def verify(*, answers: Flag = False) -> int:
         Also ask each one all its canaries, in the runtime that serves.
     """
     registry = registry_of_adapters()
-    found = registry.verify()
+    found, lost = registry.verify(), registry.unrecorded()
+    if not found:
+        Account().print(f"no adapters in {registry.folder}: {MAKE}", markup=False)
     if answers:
         found = {one: fault or canary_fault(registry, one) for one, fault in found.items()}
     for one, fault in found.items():
-        unknown = "" if registry.recorded(one) else "; config and card were not recorded when it was added"
+        unknown = (
+            "" if registry.recorded(one) or one in lost else "; config and card were not recorded when it was added"
+        )
         answer(f"{one[:16]} {fault or 'whole'}{unknown}")
     for one, words in measured_elsewhere(registry).items():
         answer(f"{one[:16]} {words}")
