@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -235,6 +236,9 @@ def test_what_is_exported_computes_the_same(home, form):
     )
     wanted = of_torch(upper.eval())
     assert adapters_export.export(one[:12], home / "out", form=form) == 0
+    (home / "plain").touch()
+    for file in filter(Path.is_file, (home / "out", *home.glob("out/*"))):
+        assert file.stat().st_mode == (home / "plain").stat().st_mode
     base = home / "cache" / "tiny.gguf"
     match form:
         case "peft":

@@ -1,6 +1,8 @@
 """dualbrain adapters: on its whole way from added to promoted to rolled back, by measurement only."""
 
 import json
+import os
+import resource
 
 import msgspec
 import pytest
@@ -94,6 +96,23 @@ def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
     assert "were changed" in out
     assert tell("adapters", "export", name[:8], "out2")[0] == Exit.SETUP
     assert not (tmp_path / "out2").exists()
+
+
+def test_what_is_exported_is_there_whole_or_not_at_all_and_others_may_read_it(tell, name, tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3, limits[1]))
+    try:
+        code, _, err = tell("adapters", "export", name[:8], "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (code, "not written" in err, list(tmp_path.glob("*out*"))) == (Exit.SETUP, True, [])
+    before = os.umask(0o022)
+    try:
+        assert tell("adapters", "export", name[:8], "deep/out")[0] == Exit.SUCCESS
+    finally:
+        os.umask(before)
+    out = tmp_path / "deep" / "out"
+    assert [path.stat().st_mode & 0o777 for path in (out, *out.iterdir())] == [0o755, 0o644, 0o644, 0o644]
 
 
 @pytest.mark.parametrize("prefix", ["", "adapter:"])

@@ -25,6 +25,8 @@ Form = Literal["peft", "gguf", "merged"]
 def export(name: str, out: Path, /, *, form: Form = "peft", robot: str = "panda") -> int:
     """Write an adapter, verified, for other programs; what it sits on besides the model is put into it.
 
+    It is there whole or not at all, and may be read by whom the umask lets.
+
     Parameters
     ----------
     name
@@ -37,6 +39,7 @@ def export(name: str, out: Path, /, *, form: Form = "peft", robot: str = "panda"
     robot
         Whose champion.
     """
+    from dualbrain.adaptation.durable import whole_folder
     from dualbrain.adaptation.serving.layers import stack_of
     from dualbrain.adaptation.serving.names import folder_of
 
@@ -44,14 +47,17 @@ def export(name: str, out: Path, /, *, form: Form = "peft", robot: str = "panda"
         raise InvalidSetup("place to export to", got=str(out), allowed="a name that is free")
     folder = folder_of(name, registry_of_adapters(), robot)
     if form == "peft" and _alone(folder):
-        shutil.copytree(folder, out)
+        with whole_folder(out) as beside:
+            for file in filter(Path.is_file, folder.iterdir()):
+                shutil.copyfile(file, beside / file.name)
     else:
         from dualbrain.adaptation.serving.combined import combined, write_peft
 
         stack = stack_of(folder, cache())
         pairs = combined([layer.folder for layer in stack.layers])
         if form == "peft":
-            write_peft(pairs, out, base=stack.layers[0].card.base_sha256)
+            with whole_folder(out) as beside:
+                write_peft(pairs, beside, base=stack.layers[0].card.base_sha256)
         else:
             from dualbrain.adaptation.serving.gguf_lora import write_gguf_lora
             from dualbrain.adaptation.serving.merged_gguf import write_merged
