@@ -16,11 +16,14 @@ import msgspec
 
 from dualbrain.adaptation.adapter_card import (
     BESIDE,
+    CARD,
+    CONFIG,
     WEIGHTS,
     AdapterCard,
     hashes_beside,
     read_adapter_card,
     require_beside,
+    worn_as,
 )
 from dualbrain.adaptation.durable import DiskFull, sync_folder
 from dualbrain.adaptation.promotion import Decision
@@ -68,7 +71,8 @@ class Adapters:
     def add(self, source: Path, *, now: float) -> AdapterCard:
         """Take in the adapter in the folder `source`; one that is here already stays as it is.
 
-        Raises `InvalidSetup` for a folder that lacks a file, `DiskFull`.
+        Raises `InvalidSetup` for a folder that lacks a file, and for weights that are here already but worn otherwise
+        or made of other things than `source` says; `DiskFull`.
         """
         card = read_adapter_card(source)
         if lacking := [name for name in FILES if not (source / name).is_file()]:
@@ -78,6 +82,10 @@ class Adapters:
         with self._alone():
             if not (target := self.folder / card.id).is_dir():
                 self._copy(source, target)
+            elif others := _other_facts(source, target, self.recorded(card.id)):
+                fix = "An id belongs to one content for good: fit anew, or put back what belongs to these weights."
+                got = f"the weights of one that is here, with another {', '.join(others)}"
+                raise InvalidSetup(f"adapter in {source}", got=got, allowed="what is recorded of them", fix=fix)
             if not any(entry.adapter == card.id for entry in self.journal()):
                 self._append(Entry("added", card.id, place_of(card), now, files=hashes_beside(target)))
         return card
@@ -255,6 +263,18 @@ class NotPromoted(DualbrainError):
         """Name the adapter and the reasons."""
         self.adapter, self.against = adapter, against
         super().__init__(f"adapter {adapter[:16]} was not promoted: {'; '.join(against)}.")
+
+
+MUST_AGREE = ("base", "base_sha256", "robot", "also", "registry", "prompt", "dataset", "sources")
+"""What two cards of the same weights say alike: where they may serve, what taught them. Dials and steps may differ."""
+
+
+def _other_facts(source: Path, target: Path, recorded: dict[str, str]) -> list[str]:
+    """What beside equal weights is not the same in two folders; raises `InvalidSetup` if `target` was changed."""
+    kept = read_adapter_card(target)
+    require_beside(target, recorded)
+    card, worn = read_adapter_card(source), [] if worn_as(source) == worn_as(target) else [CONFIG]
+    return worn + [f"{name} in {CARD}" for name in MUST_AGREE if getattr(kept, name) != getattr(card, name)]
 
 
 def place_of(card: AdapterCard) -> tuple[str, str]:
