@@ -17,6 +17,7 @@ from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.shadow import Glance
 from dualbrain.cli.adapters import HEARD
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.run import PLANNER
 from dualbrain.planner.protocol import STOP, TIMEOUT
 from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
@@ -231,6 +232,38 @@ def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_wai
     assert tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)[0] == Exit.SUCCESS
     assert last(tmp_path).reason == "the shadow was waived, with 0 answers in it"
     assert "the shadow was waived" in tell("adapters", "history")[1]
+
+
+WHOEVER = (PLANNER, f"{PLANNER} in torch", "smollm2-135m-instruct", "base-135m", "mine@localhost")
+
+
+@pytest.mark.parametrize("served", WHOEVER)
+def test_where_none_is_champion_the_shadow_of_whichever_planner_serves_counts(tell, name, tmp_path, sings, served):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    second = put(tmp_path, "more weights")
+    for author in (f"smollm2-135m-instruct+{one[:16]}" for one in (second, name)):
+        stand_in_the_shadow(tmp_path, name, whole=HEARD, served=author)
+        code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+        told = " ".join(err.split())
+        assert (code, f"shadow:{name[:16]}@{PLANNER}`, or beside another planner" in told) == (1, True)
+    stand_in_the_shadow(tmp_path, name, whole=HEARD, served=served)
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+    told = " ".join(err.split())
+    assert code == Exit.SUCCESS
+    assert f"adapter {name[:16]} on smollm2-135m-instruct is the champion of panda now" in told
+    assert "`--planner adapter:champion`" in told
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(second, 58), results(name, 20))))
+    stand_in_the_shadow(tmp_path, second, whole=HEARD, served=served)
+    code, _, err = tell("adapters", "promote", second[:8], "--measured", "m.json")
+    assert (code, f"0 of {HEARD} whole answers" in err, "@" in err) == (Exit.FAILED_SAFELY, True, False)
+
+
+def test_a_measurement_of_others_is_told_before_anything_is_asked(tell, name, tmp_path, monkeypatch):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results("another", 58), results("", 20))))
+    for asked in ("heard", "canary_fault", "runtime_here"):
+        monkeypatch.setattr(f"dualbrain.cli.adapters.{asked}", lambda *told: pytest.fail("asked"))
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+    assert (code, "measured adapters: got 'another against" in err, "gain +" in err) == (Exit.SETUP, True, False)
 
 
 @pytest.mark.parametrize("fault", ["", "canary 0 was answered otherwise"])

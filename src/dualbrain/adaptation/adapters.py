@@ -149,15 +149,22 @@ class Adapters:
         """
         card = self.card(name)
         with self._alone():
-            present = self.champion(place_of(card))
-            if (decision.candidate, decision.champion) != (card.id, present):
-                got = f"{decision.candidate[:16]} against {decision.champion[:16] or 'the bare base'}"
-                allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
-                raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
+            self._require_about(card, decision)
             if not decision.promotes:
                 raise NotPromoted(card.id, decision.against)
             self._require_alone(place_of(card))
             self._append(Entry("promoted", card.id, place_of(card), now, reason, decision))
+
+    def require_about(self, name: str, decision: Decision) -> None:
+        """Raise `InvalidSetup` if `decision` is not about `name` and the present champion of its place."""
+        self._require_about(self.card(name), decision)
+
+    def _require_about(self, card: AdapterCard, decision: Decision) -> None:
+        present = self.champion(place_of(card))
+        if (decision.candidate, decision.champion) != (card.id, present):
+            got = f"{decision.candidate[:16] or 'the bare base'} against {decision.champion[:16] or 'the bare base'}"
+            allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
+            raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
 
     def _require_alone(self, place: tuple[str, str]) -> None:
         """Raise `InvalidSetup` if the robot of `place` is served on another base: answers of two do not compare."""

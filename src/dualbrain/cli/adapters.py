@@ -16,6 +16,7 @@ from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
+from dualbrain.cli.run import PLANNER
 from dualbrain.errors import DualbrainError, InvalidSetup
 
 if TYPE_CHECKING:
@@ -164,25 +165,39 @@ def _elsewhere(registry: Adapters, one: str) -> str:
 
 
 def heard(registry: Adapters, one: str, champion: str) -> int:
-    """How many whole answers an adapter gave in the shadow of `champion`, "" being the bare base."""
+    """How many whole answers an adapter gave in the shadow of who serves: of `champion`, or "" where there is none.
+
+    Then whichever planner the robot was run with serves: its base, a model of the list, a packaged adapter, a server.
+    Another adapter of the registry serves nowhere, nor does the candidate itself.
+    """
     from dualbrain.adaptation.serving.layers import author_of
     from dualbrain.adaptation.serving.opening import shadow_log
+    from dualbrain.adaptation.serving.packaged import packaged_names
     from dualbrain.adaptation.serving.shadow import beside, glances, whole
+    from dualbrain.planner.registry import planner_names
 
-    served = author_of(registry.card(champion)) if champion else registry.card(one).base
-    return whole(beside(glances(shadow_log(registry.folder, one)), served))
+    known = (registry.card(one).base, *planner_names(), *packaged_names())
+    serving = author_of(registry.card(champion)) if champion else ""
+
+    def serves(author: str) -> bool:
+        return author == serving if serving else author in known or "@" in author  # MODEL@HOST
+
+    return whole(beside(glances(shadow_log(registry.folder, one)), serves))
 
 
-def shadow_fault(one: str, count: int, least: int) -> str:
+def shadow_fault(one: str, champion: str, count: int, least: int) -> str:
     """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
-    fix = f"let it hear more with `--planner shadow:{one[:16]}` (@BASE if no adapter serves), or waive it: `--shadow 0`"
+    beside = "" if champion else f"@{PLANNER}"
+    other = "" if champion else ", or beside another planner that the robot is run with"
+    fix = f"let it hear more with `--planner shadow:{one[:16]}{beside}`{other}; or waive it: `--shadow 0`"
     return "" if count >= least else f"{count} of {least} whole answers in the shadow of who serves: {fix}"
 
 
 def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     """Let an adapter serve in place of the present champion, if it was measured better. Exit code 1 if it was not.
 
-    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`), and it is asked its canaries in
+    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`; where no adapter is champion,
+    `shadow:NAME@PLANNER` with the planner that the robot is run with), and it is asked its canaries in
     the runtime that serves: what it answers now it must answer at every start.
 
     Parameters
@@ -209,12 +224,15 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
         results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
     )
     registry = registry_of_adapters()
-    require_runtime(registry, one := registry.find(name.removeprefix(PREFIX)), decision.runtime)
+    registry.require_about(one := registry.find(name.removeprefix(PREFIX)), decision)
+    require_runtime(registry, one, decision.runtime)
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
     count = heard(registry, one, decision.champion)
-    if decision.promotes and (fault := shadow_fault(one, count, shadow) or canary_fault(registry, one)):
+    if decision.promotes and (
+        fault := shadow_fault(one, decision.champion, count, shadow) or canary_fault(registry, one)
+    ):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY
     reason = f"{count} answers in the shadow" if shadow else f"the shadow was waived, with {count} answers in it"
@@ -223,7 +241,11 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY
-    Account().print("promoted")
+    card = registry.card(one)
+    Account().print(
+        f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. It answers where "
+        f"`--planner adapter:champion` is said; without --planner {PLANNER} still does."
+    )
     return Exit.SUCCESS
 
 
