@@ -48,6 +48,14 @@ def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
         assert opened.head() == head
 
 
+def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypatch):
+    rows = json.loads(tell("adapt", "--dry-run", "--json")[1])["samples"]
+    monkeypatch.setenv("COLUMNS", "24")
+    lines = tell("adapt", "--dry-run")[2].splitlines()
+    for row in rows:
+        assert any(line.split()[:3] == [row["id"][:8], row["part"], row["memory"]] for line in lines)
+
+
 def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
     code, out, err = tell("adapt", "--dry-run", "--export", "set")
     assert (code, out) == (Exit.USAGE, "")

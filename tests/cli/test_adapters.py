@@ -338,6 +338,21 @@ def test_a_lost_journal_is_told(tell, name, tmp_path):
     assert "its folder is here" in tell("adapters", "list")[2]
 
 
+def test_ids_are_listed_whole_in_a_narrow_terminal(tell, name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "24")
+    assert name[:16] in tell("adapters", "list")[1]
+
+
+def test_a_base_that_is_none_is_told_with_those_that_are(tell, name):
+    for base in ("nope", "minilm-l6-v2-int8"):  # an encoder is no base either
+        code, _, err = tell("adapters", "rollback", "--reason", "a test", "--base", base)
+        assert (code, f"'{base}' is not a base." in err) == (Exit.SETUP, True)
+        assert (
+            err.partition("Known: ")[2]
+            == "base-135m, qwen2.5-coder-1.5b-instruct, smollm2-135m-instruct, starter-135m.\n"
+        )
+
+
 def test_an_empty_registry_is_no_error(tell):
     for command in ("list", "verify"):
         code, out, err = tell("adapters", command)

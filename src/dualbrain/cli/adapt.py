@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
-from rich.table import Table
 
-from dualbrain.cli.console import Account
+from dualbrain.cli.console import Account, columns
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.launcher import account_of, launched, team_here
@@ -236,13 +235,13 @@ def _briefly(curated: Any) -> list[dict[str, Any]]:
 
 def _say(card: Any, curated: Any) -> None:
     told = Account()
-    table = Table("id", "part", "memory", "events", "Δ", "w", "shown", "contract", box=None, pad_edge=False)
+    heads, rows = ("id", "part", "memory", "events", "Δ", "w", "shown", "contract"), list[tuple[str, ...]]()
     for row in _briefly(curated):
         numbers = (f"{row['Delta']:.4f}", f"{row['weight']:.2f}", f"{row['repeats']}×")
         steps = row["contract"].partition('"action_sequence":')[2].removesuffix("}")
         events = " ".join(str(event) for event in row["events"])
-        table.add_row(row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60])
-    told.print(table)
+        rows.append((row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60]))
+    told.print(columns(heads, rows, gives=("events", "contract")), markup=False, soft_wrap=True)
     for reason, count in card.left_out.items():
         told.print(f"left out: {count} {reason}")
     told.print(

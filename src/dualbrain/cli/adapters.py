@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter, validators
-from rich.console import Console
-from rich.table import Table
 
-from dualbrain.cli.console import Account, answer
+from dualbrain.cli.console import Account, answer, listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
@@ -55,12 +53,12 @@ def list_adapters(*, json: Flag = False) -> int:
     if not cards and not damaged:
         Account().print(f"no adapters in {registry.folder}: {MAKE}", markup=False)
         return Exit.SUCCESS
-    table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
+    rows = list[tuple[str, ...]]()
     for card in cards:
         seen = "-" if card.held_out is None or card.held_out.compliance is None else f"{card.held_out.compliance:.0%}"
         base = card.base + (", bootstrapped" if card.bootstrapped else "")
-        table.add_row(card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-")
-    Console().print(table)
+        rows.append((card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-"))
+    listing(("id", "robot", "base", "data set", "held out", "serves"), rows, gives=("base",))
     for one, fault in damaged.items():
         Account().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
     for one, words in unmeasured.items():

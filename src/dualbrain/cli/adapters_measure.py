@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,12 +13,13 @@ from dualbrain.cli.adapters import registry_of_adapters
 from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
-from dualbrain.cli.memory_open import reader, tell
-from dualbrain.errors import InvalidSetup
+from dualbrain.cli.memory_open import ledger_path, reader, tell
+from dualbrain.errors import InvalidSetup, MissingPart
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.adapters import Adapters
     from dualbrain.adaptation.serving.layers import Stack
+    from dualbrain.memory.ledger import LedgerReader
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -76,7 +77,7 @@ def measure(
         raise _no_candidate()
     present = stack_of(champion_at(registry, champion), cache()) if champion != BARE else stack.below
     with ExitStack() as opened:
-        remembered = opened.enter_context(reader(ledger)) if fly or ledger else None
+        remembered = opened.enter_context(_remembered(ledger)) if fly or ledger else None
         apart = of_robot(dataset.held_out, stack.top.robot)
         kept = unseen(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
         if len(kept) < len(apart):
@@ -106,6 +107,14 @@ def _candidate(name: str, registry: Adapters) -> Path:
     if name.removeprefix(PREFIX) == CHAMPION:
         raise _no_candidate()
     return folder_of(name, registry)
+
+
+def _remembered(ledger: Path | None) -> AbstractContextManager[LedgerReader]:
+    """The memory that the data set was made of; raises `MissingPart` if it is not there."""
+    if not (path := ledger_path(ledger)).exists():
+        fix = "Name the one that the data set was made of with --ledger, or leave the flights out with --no-fly."
+        raise MissingPart(f"The memory ledger {path}", fix=fix)
+    return reader(ledger)
 
 
 def _no_candidate() -> InvalidSetup:
