@@ -4,9 +4,18 @@ import json
 import resource
 
 import pytest
+from msgspec.structs import replace
 
-from dualbrain.adaptation.adapter_card import BESIDE, CONFIG, WEIGHTS, AdapterCard, weights_id, write_card
-from dualbrain.adaptation.adapters import BARE, JOURNAL, Adapters, NotPromoted, place_of
+from dualbrain.adaptation.adapter_card import (
+    BESIDE,
+    CONFIG,
+    WEIGHTS,
+    AdapterCard,
+    read_adapter_card,
+    weights_id,
+    write_card,
+)
+from dualbrain.adaptation.adapters import BARE, JOURNAL, UNRECORDED, Adapters, NotPromoted, place_of
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.promotion import Decision
@@ -60,6 +69,10 @@ def forget(registry, one):
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
 
 
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def yes(candidate, champion, against=()):
     return Decision(candidate, champion, {}, tuple(against))
 
@@ -75,7 +88,7 @@ def test_a_folder_that_lacks_a_file_is_refused_by_its_name_and_no_disk_is_full(r
 def test_an_id_is_its_content_for_good(registry, two, tmp_path):
     assert registry.ids() == tuple(two)
     again = made(tmp_path / "again", "first")
-    (again / "adapter_config.json").write_text('{"other": 1}')
+    (again / "adapter_config.json").write_text('{"peft_version": "9"}')
     assert registry.add(again, now=2.0).id == two[0]
     assert registry.ids() == tuple(two)
     assert (registry.folder / two[0] / "adapter_config.json").read_text() == "{}"
@@ -83,6 +96,37 @@ def test_an_id_is_its_content_for_good(registry, two, tmp_path):
     for name in ("", "zz", two[0] + "0"):
         with pytest.raises(UnknownName):
             registry.find(name)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_weights_that_are_here_are_not_taken_with_other_facts_beside_them(registry, two, tmp_path, known):
+    """Also where nothing is recorded of those that are here."""
+    if not known:
+        forget(registry, two[0])
+    before, journal = contents(registry.folder), registry.journal()
+    again = made(tmp_path / "again", "first")
+    (again / CONFIG).write_text('{"lora_alpha": 64}')
+    with pytest.raises(InvalidSetup, match=r"another adapter_config\.json'.*one content for good"):
+        registry.add(again, now=2.0)
+    for words, changed in (
+        ("robot", {"robot": "ur5e"}),
+        ("dataset", {"dataset": "e"}),
+        ("", {"versions": {"a": "1"}, "steps": 9}),
+    ):
+        again = made(tmp_path / f"again {words}", "first")
+        write_card(replace(read_adapter_card(again), **changed), again)
+        if words:
+            with pytest.raises(InvalidSetup, match=f"another {words} in adapter.json"):
+                registry.add(again, now=2.0)
+        else:
+            assert registry.add(again, now=2.0).id == two[0]
+    assert (contents(registry.folder), registry.journal()) == (before, journal)
+
+
+def test_what_is_here_but_damaged_is_told_when_it_is_added_again(registry, two, tmp_path):
+    (registry.folder / two[0] / CONFIG).write_text('{"lora_alpha": 64}')
+    with pytest.raises(InvalidSetup, match="was changed"):
+        registry.add(tmp_path / "first", now=2.0)
 
 
 def test_promote_and_roll_back_are_a_stack(registry, two):
@@ -176,6 +220,21 @@ def test_a_line_cut_off_by_a_crash_never_happened(registry, two):
     assert registry.champion(PLACE) == two[0]
     assert registry.roll_back(PLACE, "a test", now=3.0) == BARE
     assert [json.loads(line)["kind"] for line in path.read_text().splitlines()][-2:] == ["promoted", "rolled back"]
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+def test_an_adapter_that_the_journal_does_not_tell_of_is_a_fault_until_it_is_added_again(registry, two, tmp_path, kept):
+    path = registry.folder / JOURNAL
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
+    (registry.folder / "canaries").mkdir()
+    lost = two[kept:]
+    assert set(registry.unrecorded()) == set(lost)
+    for one in two:
+        assert registry.verify()[one] == (UNRECORDED if one in lost else "")
+    for words in ("first", "second"):
+        registry.add(tmp_path / words, now=9.0)
+    assert registry.verify() == dict.fromkeys(two, "")
+    assert registry.recorded(two[1])
 
 
 def test_a_damaged_journal_is_told(registry, two):

@@ -6,7 +6,7 @@ import tempfile
 
 import pytest
 
-from dualbrain.adaptation.durable import DiskFull, require_place, write_durably
+from dualbrain.adaptation.durable import DiskFull, require_place, whole_file, whole_folder, write_durably
 
 
 @pytest.mark.parametrize(
@@ -41,3 +41,45 @@ def test_where_nothing_can_be_written_it_is_told_before(tmp_path, place):
         with pytest.raises(DiskFull, match="Mend that, or name another place"):
             tried(tmp_path / place)
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "file", tmp_path / "folder"]
+
+
+@pytest.fixture
+def umask():
+    """Set the umask for this test."""
+    before = os.umask(0)
+    yield os.umask
+    os.umask(before)
+
+
+@pytest.mark.parametrize(("mask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640), (0, 0o777, 0o666)])
+def test_who_may_read_what_is_written_for_others_is_for_the_umask_to_say(tmp_path, umask, mask, folder, file):
+    umask(mask)
+    with whole_file(tmp_path / "m.gguf") as beside:
+        beside.write_bytes(b"new")
+    with whole_folder(tmp_path / "peft") as beside:
+        (beside / "m.json").write_bytes(b"new")
+    modes = [path.stat().st_mode & 0o777 for path in sorted(tmp_path.rglob("*"))]
+    assert modes == [file, folder, file]
+    write_durably(tmp_path / "private", b"")
+    assert (tmp_path / "private").stat().st_mode & 0o777 == 0o600
+
+
+def half_written(place, path):
+    """A disk that is full before the end."""
+    with place(path) as beside:
+        (beside if beside.is_file() else beside / "half").write_bytes(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("place", [whole_file, whole_folder])
+def test_what_was_not_finished_is_gone_and_what_cannot_be_moved_there_is_told(tmp_path, place):
+    with pytest.raises(DiskFull, match="No space left"):
+        half_written(place, tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt), place(tmp_path / "out"):
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").touch()
+    for taken in (tmp_path / "file" / "out", tmp_path):
+        with pytest.raises(DiskFull), place(taken):
+            pass
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]

@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -155,6 +156,7 @@ def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate
     assert adapters_measure.measure(one[:12], data=home / "data", out=home / "m.json", fly=False) == 0
     found = msgspec.json.decode((home / "m.json").read_bytes(), type=Measured)
     assert (found.candidate.adapter, found.champion.adapter, found.dataset) == (one, "", data.card.hash)
+    assert found.candidate.runtime == adapters_command.runtime_here(Adapters(home / "adapters"), one)
     assert len(found.candidate.trials) == LEAST
     assert found.candidate.perplexity != found.champion.perplexity
     assert "not flown, so nothing can be promoted" in capsys.readouterr().err
@@ -180,6 +182,10 @@ def test_the_place_for_the_results_is_tried_before_the_first_question(home, monk
     assert adapters_measure.measure(one, data=home / "data", out=out, fly=False) == 0
     assert msgspec.json.decode(out.read_bytes(), type=Measured).candidate.adapter == asked[0] == one
     assert list(out.parent.iterdir()) == [out]
+    lower = read_adapter_card(home / "packaged" / "first").id
+    for name, who in (("first", lower), (str(home / "fit"), one), (f"adapter:{one}", one)):
+        assert adapters_measure.measure(name, data=home / "data", out=out, fly=False) == 0
+        assert asked[-2:] == [who, ""]
 
 
 def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_asked(
@@ -190,7 +196,7 @@ def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_a
     data = data_set((), (*(sample(number) for number in range(LEAST)), replace(sample(LEAST), memory=taught.id)))
     write_dataset(data, home / "data")
     one = Adapters(home / "adapters").ids()[0]
-    with pytest.raises(MissingPart, match="memory ledger"):
+    with pytest.raises(MissingPart, match=r"memory ledger.*--ledger.*--no-fly"):
         adapters_measure.measure(one, data=home / "data", out=home / "m.json")
     asked = []
     monkeypatch.setattr(
@@ -230,6 +236,9 @@ def test_what_is_exported_computes_the_same(home, form):
     )
     wanted = of_torch(upper.eval())
     assert adapters_export.export(one[:12], home / "out", form=form) == 0
+    (home / "plain").touch()
+    for file in filter(Path.is_file, (home / "out", *home.glob("out/*"))):
+        assert file.stat().st_mode == (home / "plain").stat().st_mode
     base = home / "cache" / "tiny.gguf"
     match form:
         case "peft":

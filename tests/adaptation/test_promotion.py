@@ -33,6 +33,13 @@ def test_what_is_clearly_better_is_promoted():
     assert msgspec.json.decode(msgspec.json.encode(found), type=Decision) == found
 
 
+def test_a_decision_keeps_its_runtime_and_one_of_before_that_was_kept_is_read():
+    found = verdict(results("new", 58, runtime="llama 1"), results("", 20, runtime="llama 1"))
+    assert found.runtime == "llama 1"
+    told = {name: value for name, value in msgspec.to_builtins(found).items() if name != "runtime"}
+    assert msgspec.convert(told, Decision) == structs.replace(found, runtime="")
+
+
 def test_the_same_is_not():
     found = verdict(results("new", 40), results("", 40))
     assert found.against == ("nothing is better beyond chance",)
@@ -132,6 +139,10 @@ def test_never_both_ways(a, b):
         (results("new", 10, runtime="torch"), results("", 5)),
         (results("", 10), results("", 5)),
         (results("new", 10, perplexity=float("nan")), results("", 5)),
+        (results("new", 10, perplexity=0.9), results("", 5)),
+        (results("new", 58, Delta=-7.0), results("", 20)),
+        (results("new", 58), results("", 20, Delta=float("inf"))),
+        (results("new", 58, Delta=float("nan")), results("", 20)),
         (msgspec.structs.replace(results("new", 10), trials=results("new", 10).trials[:-1] * 2), results("", 5)),
     ],
 )

@@ -48,6 +48,14 @@ def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
         assert opened.head() == head
 
 
+def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypatch):
+    rows = json.loads(tell("adapt", "--dry-run", "--json")[1])["samples"]
+    monkeypatch.setenv("COLUMNS", "24")
+    lines = tell("adapt", "--dry-run")[2].splitlines()
+    for row in rows:
+        assert any(line.split()[:3] == [row["id"][:8], row["part"], row["memory"]] for line in lines)
+
+
 def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
     code, out, err = tell("adapt", "--dry-run", "--export", "set")
     assert (code, out) == (Exit.USAGE, "")
@@ -217,12 +225,13 @@ def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp
     tell("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
-    command._note(card, dataset, ledger)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)  # once is enough
     with LedgerReader(ledger) as opened:
         (event,) = opened.events(f"kind = '{ADAPTER}'")
     noted = msgspec.json.decode(event.payload, type=AdapterUse)
     assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
-    command._note(card, dataset, tmp_path / "none.sqlite")
+    assert not command._note(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
     assert "not written into the ledger" in capsys.readouterr().err
 
 

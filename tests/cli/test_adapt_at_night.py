@@ -16,7 +16,9 @@ from dualbrain.adaptation.fitting.loop import BEST  # noqa: E402
 from dualbrain.adaptation.promotion import Decision  # noqa: E402
 from dualbrain.cli.exits import Exit  # noqa: E402
 from dualbrain.cli.main import call  # noqa: E402
+from dualbrain.memory.events import ADAPTER  # noqa: E402
 from dualbrain.memory.hashing import HashingEncoder  # noqa: E402
+from dualbrain.memory.ledger import Ledger, LedgerReader  # noqa: E402
 from dualbrain.weights import find_file  # noqa: E402
 from tests.adaptation import tiny_gguf, tiny_served  # noqa: E402
 from tests.adaptation.episodes import CONFIG, episode, remember, several  # noqa: E402
@@ -79,6 +81,26 @@ def undisturbed(tmp_path_factory):
         home = home_in(tmp_path_factory.mktemp("undisturbed"), patch)
         assert call(COMMAND) == Exit.SUCCESS
         return home.registry.ids()[-1]
+
+
+def test_what_a_fit_was_taught_is_not_lost_while_another_writes_the_ledger(here, undisturbed, monkeypatch):
+    monkeypatch.setattr("dualbrain.cli.memory_open.PATIENCE", 0.05)
+
+    def noted():
+        with LedgerReader(here.folder / "ledger.sqlite") as opened:
+            return [event.subject for event in opened.events(f"kind = '{ADAPTER}'")]
+
+    with Ledger(here.folder / "ledger.sqlite", holder="a run", now=3.0, patience=1.0):
+        code, _, err = here.adapt()
+        assert (code, here.registry.ids()[-1], noted()) == (Exit.FAILED_SAFELY, undisturbed, [])
+    told = " ".join(err.split())
+    assert "not written into the ledger" in told
+    assert "the same command again, with --out fit: it takes no further step" in told
+    journal = here.registry.journal()
+    for _ in range(2):
+        code, _, err = here.adapt()
+        assert (code, noted(), "step" in err) == (Exit.SUCCESS, [undisturbed], False)
+    assert here.registry.journal() == journal
 
 
 def empty_ledger(here, monkeypatch):

@@ -1,19 +1,23 @@
 """dualbrain adapters: on its whole way from added to promoted to rolled back, by measurement only."""
 
 import json
+import os
+import resource
 
 import msgspec
 import pytest
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card, weights_id, write_card
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
 from dualbrain.adaptation.serving.opening import shadow_log
+from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.shadow import Glance
 from dualbrain.cli.adapters import HEARD
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.run import PLANNER
 from dualbrain.planner.protocol import STOP, TIMEOUT
 from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
@@ -55,6 +59,7 @@ def sings(monkeypatch):
     """Canaries of adapters that are no adapters: what is wrong with their answers."""
     faults = {}
     monkeypatch.setattr("dualbrain.cli.adapters.canary_fault", lambda registry, one: faults.get(one, ""))
+    monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama")
     return faults
 
 
@@ -92,6 +97,72 @@ def test_it_is_shown_verified_and_exported(tell, name, tmp_path):
     assert "were changed" in out
     assert tell("adapters", "export", name[:8], "out2")[0] == Exit.SETUP
     assert not (tmp_path / "out2").exists()
+
+
+def test_what_is_exported_is_there_whole_or_not_at_all_and_others_may_read_it(tell, name, tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3, limits[1]))
+    try:
+        code, _, err = tell("adapters", "export", name[:8], "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (code, "not written" in err, list(tmp_path.glob("*out*"))) == (Exit.SETUP, True, [])
+    before = os.umask(0o022)
+    try:
+        assert tell("adapters", "export", name[:8], "deep/out")[0] == Exit.SUCCESS
+    finally:
+        os.umask(before)
+    out = tmp_path / "deep" / "out"
+    assert [path.stat().st_mode & 0o777 for path in (out, *out.iterdir())] == [0o755, 0o644, 0o644, 0o644]
+
+
+@pytest.mark.parametrize("prefix", ["", "adapter:"])
+def test_every_command_knows_an_adapter_by_all_of_its_names(tell, name, tmp_path, sings, prefix):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", prefix + name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    left = tmp_path / "source of weights"
+    packaged = read_adapter_card(packaged_folder("base-135m")).id
+    names = {name[:8]: name, "champion": name, str(left): name, "base-135m": packaged}
+    for number, (short, one) in enumerate(names.items()):
+        code, out, err = tell("adapters", "show", prefix + short)
+        assert (code, json.loads(out)["card"]["id"]) == (Exit.SUCCESS, one), err
+        assert tell("adapters", "export", prefix + short, f"out{number}")[0] == Exit.SUCCESS
+        assert weights_id(tmp_path / f"out{number}") == one
+    assert tell("adapters", "diff", prefix + "base-135m", f"{prefix}starter-135m", "--json")[0] == Exit.SUCCESS
+    for words in (("show", prefix + "champion"), ("export", prefix + "champion", "none"), ("diff", "champion", name)):
+        code, _, err = tell("adapters", *words, "--robot", "ur5e")
+        assert (code, "champion of ur5e: got 'none'" in err) == (Exit.SETUP, True)
+    code, _, err = tell("adapters", "show", prefix + "nobody")
+    assert (code, "base-135m, champion" in err) == (Exit.SETUP, True)
+
+
+@pytest.fixture
+def measurable(monkeypatch):
+    """A measurement is let in as far as to who serves."""
+    monkeypatch.setattr("dualbrain.adaptation.dataset.read_dataset", lambda folder: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_prompt", lambda card: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_fit", lambda *told: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.layers.locate", lambda *told: None)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_damaged_champion_is_told_with_the_way_out(tell, name, tmp_path, sings, measurable, measured):
+    another = put(tmp_path, "more weights")
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    (tmp_path / "adapters" / name / WEIGHTS).write_bytes(b"others")
+    measure = ("adapters", "measure", another, "--data", "data", "--out", "o.json")
+    code, _, err = tell(*(measure if measured else ("plan", "go", "--planner", "adapter:champion")))
+    assert (code, f"champion {name[:16]}" in err, "dualbrain adapters rollback" in err) == (Exit.SETUP, True, True)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_who_serves_is_no_candidate(tell, name, tmp_path, sings, measurable, named):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    who = name[:8] if named else "champion"
+    code, _, err = tell("adapters", "measure", who, "--data", "data", "--out", "o.json")
+    assert (code, "candidate: got 'the champion itself'" in err) == (Exit.SETUP, True)
 
 
 def test_what_no_hash_was_recorded_of_is_told_and_what_was_changed_is_not_exported(tell, name, tmp_path):
@@ -163,6 +234,38 @@ def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_wai
     assert "the shadow was waived" in tell("adapters", "history")[1]
 
 
+WHOEVER = (PLANNER, f"{PLANNER} in torch", "smollm2-135m-instruct", "base-135m", "mine@localhost")
+
+
+@pytest.mark.parametrize("served", WHOEVER)
+def test_where_none_is_champion_the_shadow_of_whichever_planner_serves_counts(tell, name, tmp_path, sings, served):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    second = put(tmp_path, "more weights")
+    for author in (f"smollm2-135m-instruct+{one[:16]}" for one in (second, name)):
+        stand_in_the_shadow(tmp_path, name, whole=HEARD, served=author)
+        code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+        told = " ".join(err.split())
+        assert (code, f"shadow:{name[:16]}@{PLANNER}`, or beside another planner" in told) == (1, True)
+    stand_in_the_shadow(tmp_path, name, whole=HEARD, served=served)
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+    told = " ".join(err.split())
+    assert code == Exit.SUCCESS
+    assert f"adapter {name[:16]} on smollm2-135m-instruct is the champion of panda now" in told
+    assert "`--planner adapter:champion`" in told
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(second, 58), results(name, 20))))
+    stand_in_the_shadow(tmp_path, second, whole=HEARD, served=served)
+    code, _, err = tell("adapters", "promote", second[:8], "--measured", "m.json")
+    assert (code, f"0 of {HEARD} whole answers" in err, "@" in err) == (Exit.FAILED_SAFELY, True, False)
+
+
+def test_a_measurement_of_others_is_told_before_anything_is_asked(tell, name, tmp_path, monkeypatch):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results("another", 58), results("", 20))))
+    for asked in ("heard", "canary_fault", "runtime_here"):
+        monkeypatch.setattr(f"dualbrain.cli.adapters.{asked}", lambda *told: pytest.fail("asked"))
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
+    assert (code, "measured adapters: got 'another against" in err, "gain +" in err) == (Exit.SETUP, True, False)
+
+
 @pytest.mark.parametrize("fault", ["", "canary 0 was answered otherwise"])
 def test_a_rollback_asks_whoever_serves_again_and_says_what_it_finds(tell, name, tmp_path, sings, fault):
     second = put(tmp_path, "more weights", beside=name)
@@ -185,6 +288,32 @@ def test_the_journal_names_the_data_set_of_the_measurement(tell, name, tmp_path,
     assert Adapters(tmp_path / "adapters").journal()[-1].decision.dataset == "d" * 64
 
 
+def test_only_what_was_measured_in_the_runtime_that_serves_is_promoted(tell, name, tmp_path, sings):
+    elsewhere = Measured(results(name, 58, runtime="another"), results("", 20, runtime="another"))
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(elsewhere))
+    code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json", "--shadow", 0)
+    assert (code, "runtime of the measurement: got 'another', allowed: llama. Measure again" in err) == (5, True)
+    assert last(tmp_path).kind == "added"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_who_serves_in_another_runtime_than_it_was_measured_in_is_named(tell, name, tmp_path, sings, monkeypatch, kept):
+    (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results(name, 58), results("", 20))))
+    assert tell("adapters", "promote", name[:8], "--measured", "m.json")[0] == Exit.SUCCESS
+    assert last(tmp_path).decision.runtime == "llama"
+    assert json.loads(tell("adapters", "list", "--json")[1])["measured_elsewhere"] == {}
+    if kept:
+        monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama 2")
+    else:
+        journal = tmp_path / "adapters" / "journal.jsonl"
+        journal.write_text(journal.read_text().replace(',"runtime":"llama"', ""))
+    words = "was measured in " + ("llama: " if kept else "a runtime that was not recorded: ")
+    code, out, _ = tell("adapters", "verify")
+    assert (code, words in out) == (Exit.SUCCESS, True)
+    assert words in json.loads(tell("adapters", "list", "--json")[1])["measured_elsewhere"][name]
+    assert words in " ".join(tell("adapters", "list")[2].split())
+
+
 @pytest.mark.parametrize("base", [(), ("--base", "base-135m")])
 def test_where_nothing_was_ever_added_there_is_nothing_to_roll_back(tell, tmp_path, base):
     code, out, err = tell("adapters", "rollback", "--reason", "a test", *base)
@@ -200,5 +329,37 @@ def test_what_is_not_there_is_told(tell, arguments):
     assert "abcd" in err or "none.json" in err
 
 
+def test_a_lost_journal_is_told(tell, name, tmp_path):
+    (tmp_path / "adapters" / "journal.jsonl").rename(tmp_path / "elsewhere")
+    code, out, _ = tell("adapters", "verify")
+    assert (code, f"{name[:16]} its folder is here, but the journal does not" in out) == (Exit.FAILED_SAFELY, True)
+    assert "config and card were not recorded" not in out
+    assert name in json.loads(tell("adapters", "list", "--json")[1])["damaged"]
+    assert "its folder is here" in tell("adapters", "list")[2]
+
+
+def test_ids_are_listed_whole_in_a_narrow_terminal(tell, name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "24")
+    assert name[:16] in tell("adapters", "list")[1]
+
+
+def test_a_base_that_is_none_is_told_with_those_that_are(tell, name):
+    for base in ("nope", "minilm-l6-v2-int8"):  # an encoder is no base either
+        code, _, err = tell("adapters", "rollback", "--reason", "a test", "--base", base)
+        assert (code, f"'{base}' is not a base." in err) == (Exit.SETUP, True)
+        assert (
+            err.partition("Known: ")[2]
+            == "base-135m, qwen2.5-coder-1.5b-instruct, smollm2-135m-instruct, starter-135m.\n"
+        )
+
+
 def test_an_empty_registry_is_no_error(tell):
-    assert json.loads(tell("adapters", "list", "--json")[1]) == {"adapters": [], "serving": [], "damaged": {}}
+    for command in ("list", "verify"):
+        code, out, err = tell("adapters", command)
+        assert (code, out, "dualbrain adapt" in " ".join(err.split())) == (Exit.SUCCESS, "", True)
+    assert json.loads(tell("adapters", "list", "--json")[1]) == {
+        "adapters": [],
+        "serving": [],
+        "damaged": {},
+        "measured_elsewhere": {},
+    }

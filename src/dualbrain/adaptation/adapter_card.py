@@ -89,6 +89,16 @@ def require_beside(folder: Path, recorded: dict[str, str]) -> None:
             raise InvalidSetup(f"{name} of adapter", got=found[name] or "no file", allowed=digest, fix=fix)
 
 
+def worn_as(folder: Path) -> object:
+    """What the config in `folder` says of how the weights are worn; which peft wrote it does not matter."""
+    data = (folder / CONFIG).read_bytes()
+    try:
+        told = msgspec.json.decode(data, type=dict[str, object])
+    except msgspec.DecodeError:
+        return data
+    return {name: value for name, value in told.items() if name != "peft_version"}
+
+
 def proposed_by_others(sources: Iterable[str], base: str, own: Collection[str] = ()) -> bool:
     """Whether any of `sources` is another than `base`, bare or with one of its `own` adapters.
 

@@ -16,11 +16,14 @@ import msgspec
 
 from dualbrain.adaptation.adapter_card import (
     BESIDE,
+    CARD,
+    CONFIG,
     WEIGHTS,
     AdapterCard,
     hashes_beside,
     read_adapter_card,
     require_beside,
+    worn_as,
 )
 from dualbrain.adaptation.durable import DiskFull, sync_folder
 from dualbrain.adaptation.promotion import Decision
@@ -30,6 +33,12 @@ JOURNAL, LOCK = "journal.jsonl", ".lock"
 FILES = (WEIGHTS, *BESIDE)
 BARE = ""
 """The id of no adapter: the base as it is."""
+
+
+UNRECORDED = (
+    "its folder is here, but the journal does not tell of it: that was lost or cut short, or a crash came between. "
+    "Put the journal back, for who serves stands there alone; or give the `dualbrain adapt --out` that made this again"
+)
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -62,7 +71,8 @@ class Adapters:
     def add(self, source: Path, *, now: float) -> AdapterCard:
         """Take in the adapter in the folder `source`; one that is here already stays as it is.
 
-        Raises `InvalidSetup` for a folder that lacks a file, `DiskFull`.
+        Raises `InvalidSetup` for a folder that lacks a file, and for weights that are here already but worn otherwise
+        or made of other things than `source` says; `DiskFull`.
         """
         card = read_adapter_card(source)
         if lacking := [name for name in FILES if not (source / name).is_file()]:
@@ -72,6 +82,10 @@ class Adapters:
         with self._alone():
             if not (target := self.folder / card.id).is_dir():
                 self._copy(source, target)
+            elif others := _other_facts(source, target, self.recorded(card.id)):
+                fix = "An id belongs to one content for good: fit anew, or put back what belongs to these weights."
+                got = f"the weights of one that is here, with another {', '.join(others)}"
+                raise InvalidSetup(f"adapter in {source}", got=got, allowed="what is recorded of them", fix=fix)
             if not any(entry.adapter == card.id for entry in self.journal()):
                 self._append(Entry("added", card.id, place_of(card), now, files=hashes_beside(target)))
         return card
@@ -121,6 +135,12 @@ class Adapters:
         places = dict.fromkeys(entry.place for entry in self.journal())
         return tuple(one for one in map(self.champion, places) if one != BARE)
 
+    def decision(self, one: str) -> Decision | None:
+        """The decision by which the adapter `one` was promoted last, None if it never was."""
+        return next(
+            (entry.decision for entry in reversed(self.journal()) if entry.adapter == one and entry.decision), None
+        )
+
     def promote(self, name: str, decision: Decision, *, now: float, reason: str = "") -> None:
         """Make `name` the champion of its place, if `decision` is about it and the present champion, and in favour.
 
@@ -129,15 +149,22 @@ class Adapters:
         """
         card = self.card(name)
         with self._alone():
-            present = self.champion(place_of(card))
-            if (decision.candidate, decision.champion) != (card.id, present):
-                got = f"{decision.candidate[:16]} against {decision.champion[:16] or 'the bare base'}"
-                allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
-                raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
+            self._require_about(card, decision)
             if not decision.promotes:
                 raise NotPromoted(card.id, decision.against)
             self._require_alone(place_of(card))
             self._append(Entry("promoted", card.id, place_of(card), now, reason, decision))
+
+    def require_about(self, name: str, decision: Decision) -> None:
+        """Raise `InvalidSetup` if `decision` is not about `name` and the present champion of its place."""
+        self._require_about(self.card(name), decision)
+
+    def _require_about(self, card: AdapterCard, decision: Decision) -> None:
+        present = self.champion(place_of(card))
+        if (decision.candidate, decision.champion) != (card.id, present):
+            got = f"{decision.candidate[:16] or 'the bare base'} against {decision.champion[:16] or 'the bare base'}"
+            allowed = f"{card.id[:16]} against {present[:16] or 'the bare base'}"
+            raise InvalidSetup("measured adapters", got=got, allowed=allowed, fix="Measure again.")
 
     def _require_alone(self, place: tuple[str, str]) -> None:
         """Raise `InvalidSetup` if the robot of `place` is served on another base: answers of two do not compare."""
@@ -161,15 +188,21 @@ class Adapters:
                 raise InvalidSetup("champion", got="the bare base", allowed="a promoted adapter")
             for former in reversed(history[:-1]):
                 self._append(Entry("rolled back", former, place, now, reason))
-                if former == BARE or not (reason := self._fault(former)):
+                if former == BARE or not (reason := self.fault(former)):
                     return former
             return BARE
 
     def verify(self) -> dict[str, str]:
-        """What is wrong with each adapter, "" if nothing is."""
-        return {one: self._fault(one) for one in self.ids()}
+        """What is wrong with each adapter, "" if nothing is; a folder that the journal does not tell of is a fault."""
+        return {one: self.fault(one) for one in self.ids()} | dict.fromkeys(self.unrecorded(), UNRECORDED)
 
-    def _fault(self, one: str) -> str:
+    def unrecorded(self) -> tuple[str, ...]:
+        """The adapters whose folder is here without an entry in the journal."""
+        known = set(self.ids())
+        return tuple(path.name for path in sorted(self.folder.glob("[0-9a-f]" * 64)) if path.name not in known)
+
+    def fault(self, one: str) -> str:
+        """What is wrong with the adapter `one`, "" if nothing is."""
         try:
             card = self.card(one)
         except DualbrainError as error:
@@ -237,6 +270,18 @@ class NotPromoted(DualbrainError):
         """Name the adapter and the reasons."""
         self.adapter, self.against = adapter, against
         super().__init__(f"adapter {adapter[:16]} was not promoted: {'; '.join(against)}.")
+
+
+MUST_AGREE = ("base", "base_sha256", "robot", "also", "registry", "prompt", "dataset", "sources")
+"""What two cards of the same weights say alike: where they may serve, what taught them. Dials and steps may differ."""
+
+
+def _other_facts(source: Path, target: Path, recorded: dict[str, str]) -> list[str]:
+    """What beside equal weights is not the same in two folders; raises `InvalidSetup` if `target` was changed."""
+    kept = read_adapter_card(target)
+    require_beside(target, recorded)
+    card, worn = read_adapter_card(source), [] if worn_as(source) == worn_as(target) else [CONFIG]
+    return worn + [f"{name} in {CARD}" for name in MUST_AGREE if getattr(kept, name) != getattr(card, name)]
 
 
 def place_of(card: AdapterCard) -> tuple[str, str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
+import shutil
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -65,14 +67,13 @@ def write_durably(path: Path, data: bytes) -> None:
 def whole_file(path: Path) -> Generator[Path]:
     """A name beside `path` for a program that writes files itself; moved to `path` when the body ends well, else gone.
 
-    Raises `DiskFull` for what the body cannot write.
+    Who may read it is for the umask to say, as of any file. Raises `DiskFull` for what the body cannot write.
     """
+    beside = _beside(path)
     try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        beside.touch(exist_ok=False)
     except OSError as error:
         raise DiskFull(path, error) from error
-    beside = Path(name)
-    os.close(descriptor)
     try:
         yield beside
         with beside.open("rb") as written:
@@ -83,6 +84,34 @@ def whole_file(path: Path) -> Generator[Path]:
         raise DiskFull(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(path: Path) -> Generator[Path]:
+    """A new folder beside `path` to put files into; moved to `path` when the body ends well, else gone.
+
+    Who may read it is for the umask to say. Raises `DiskFull` for what the body cannot write, or where files are.
+    """
+    beside = _beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.mkdir()
+        yield beside
+        for file in beside.iterdir():
+            with file.open("rb") as written:
+                os.fsync(written.fileno())
+        sync_folder(beside)
+        beside.rename(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DiskFull(path, error) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _beside(path: Path) -> Path:
+    """A name in the folder of `path` that nobody else has."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
 
 
 def sync_folder(folder: Path) -> None:

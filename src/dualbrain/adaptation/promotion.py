@@ -17,6 +17,7 @@ LEAST = 30
 LEAST_PAIRED = 10
 """Of these, those on which both have a measure that is to earn a promotion: an interval of fewer is too narrow."""
 RESAMPLES = 2000
+AGAIN = "Measure again: `dualbrain adapters measure`."
 FLY = "measure with `dualbrain adapters measure`, without --no-fly"
 
 
@@ -90,7 +91,8 @@ class Compared(msgspec.Struct, frozen=True):
 class Decision(msgspec.Struct, frozen=True):
     """Whether `candidate` may take the place of `champion`, every measure, and the reasons against it.
 
-    `dataset` is the hash of the data set that the questions are of, "" if that was not told.
+    `dataset` is the hash of the data set that the questions are of, `runtime` what both answered in; "" if that was not
+    told, as in decisions of before it was kept.
     """
 
     candidate: str
@@ -98,6 +100,7 @@ class Decision(msgspec.Struct, frozen=True):
     measures: dict[str, Compared]
     against: tuple[str, ...]
     dataset: str = ""
+    runtime: str = ""
 
     @property
     def promotes(self) -> bool:
@@ -138,7 +141,7 @@ def decide(
     against += _not_flown(candidate, champion) or _without_delta(pairs)
     if not any(measure.better for measure in measures.values()):
         against.append("nothing is better beyond chance")
-    return Decision(candidate.adapter, champion.adapter, measures, tuple(against), dataset)
+    return Decision(candidate.adapter, champion.adapter, measures, tuple(against), dataset, candidate.runtime)
 
 
 def _not_flown(candidate: Results, champion: Results) -> list[str]:
@@ -171,9 +174,17 @@ def _pairs(candidate: Results, champion: Results) -> list[tuple[Trial, Trial]]:
     if candidate.adapter == champion.adapter:
         raise InvalidSetup("candidate", got="the champion itself", allowed="another adapter")
     for results in (candidate, champion):
-        if not (math.isfinite(results.perplexity) and results.perplexity > 0.0):
-            raise InvalidSetup("perplexity", got=results.perplexity, allowed="above 0")
+        _require_possible(results)
     return [(ours[question], theirs[question]) for question in sorted(ours)]
+
+
+def _require_possible(results: Results) -> None:
+    """Raise `InvalidSetup` for a number that no measurement gives."""
+    if not 1.0 <= results.perplexity < math.inf:
+        raise InvalidSetup("perplexity", got=results.perplexity, allowed="1 or more", fix=AGAIN)
+    for trial in results.trials:
+        if trial.Delta is not None and not 0.0 <= trial.Delta < math.inf:
+            raise InvalidSetup(f"Delta of question {trial.question}", got=trial.Delta, allowed="0 or more", fix=AGAIN)
 
 
 def _compare(

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
-from rich.table import Table
 
-from dualbrain.cli.console import Account
+from dualbrain.cli.console import Account, columns
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.launcher import account_of, launched, team_here
@@ -34,8 +33,9 @@ def adapt(
 
     Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
     one in which a person's hand was. Nothing in memory is changed. The adapter is used by nobody until it is promoted.
-    Interrupted in any way, the same command with the same --out goes on where it was. A launcher such as torchrun can
-    start it in several processes, which share each step.
+    Interrupted in any way, the same command with the same --out goes on where it was. Exit code 1 if the adapter is
+    there, but what it was taught could not be written into the ledger; the same command then writes that alone. A
+    launcher such as torchrun can start it in several processes, which share each step.
 
     Parameters
     ----------
@@ -161,8 +161,7 @@ def _fit(
         clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
         own=_own(),
     )  # fmt: skip
-    team.once(lambda: _announce(card, dataset, folder, ledger, json=json))
-    return Exit.SUCCESS
+    return team.once(lambda: _announce(card, dataset, folder, ledger, json=json))
 
 
 def _own() -> list[str]:
@@ -174,21 +173,22 @@ def _own() -> list[str]:
     return [one for one in whole if not registry.card(one).bootstrapped]
 
 
-def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> None:
-    """Register the adapter in `folder`, and say so."""
+def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> Exit:
+    """Register the adapter in `folder`, and say so; not a success if nobody could write down what taught it."""
     from dualbrain.cli.adapters import registry_of_adapters
 
     registry_of_adapters().add(folder / "adapter", now=time.time())
-    _note(card, dataset, ledger)
+    noted = _note(card, dataset, folder, ledger)
     Account().print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
     if json:
         tell(card)
+    return Exit.SUCCESS if noted else Exit.FAILED_SAFELY
 
 
-def _note(card: Any, dataset: Any, ledger: Path | None) -> None:
+def _note(card: Any, dataset: Any, folder: Path, ledger: Path | None) -> bool:
     """Write into the ledger which memories the adapter was taught, so that an audit finds what a bad one reached.
 
-    The adapter is there already: that this cannot be written is told, and undoes nothing.
+    The adapter is there already: that this cannot be written is told with what to do, and undoes nothing.
     """
     from dualbrain.cli.memory_open import memory
     from dualbrain.memory.curation import note_adapter
@@ -198,7 +198,14 @@ def _note(card: Any, dataset: Any, ledger: Path | None) -> None:
         with memory(ledger, writing="adapt") as opened:
             note_adapter(opened, card.id, card.dataset, names, now=time.time())
     except DualbrainError as error:
-        Account().print(f"not written into the ledger: {error}")
+        Account().print(f"not written into the ledger: {error}", markup=False)
+        Account().print(
+            f"Until it is, an audit does not find which memories adapter {card.id[:16]} was taught. Give the same "
+            f"command again, with --out {folder}: it takes no further step, and writes that.",
+            markup=False,
+        )
+        return False
+    return True
 
 
 def adapt_with_torch() -> Any:
@@ -228,13 +235,13 @@ def _briefly(curated: Any) -> list[dict[str, Any]]:
 
 def _say(card: Any, curated: Any) -> None:
     told = Account()
-    table = Table("id", "part", "memory", "events", "Δ", "w", "shown", "contract", box=None, pad_edge=False)
+    heads, rows = ("id", "part", "memory", "events", "Δ", "w", "shown", "contract"), list[tuple[str, ...]]()
     for row in _briefly(curated):
         numbers = (f"{row['Delta']:.4f}", f"{row['weight']:.2f}", f"{row['repeats']}×")
         steps = row["contract"].partition('"action_sequence":')[2].removesuffix("}")
         events = " ".join(str(event) for event in row["events"])
-        table.add_row(row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60])
-    told.print(table)
+        rows.append((row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60]))
+    told.print(columns(heads, rows, gives=("events", "contract")), markup=False, soft_wrap=True)
     for reason, count in card.left_out.items():
         told.print(f"left out: {count} {reason}")
     told.print(

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from cyclopts import Parameter, validators
-from rich.console import Console
-from rich.table import Table
 
-from dualbrain.cli.console import Account, answer
+from dualbrain.cli.console import Account, answer, listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
+from dualbrain.cli.run import PLANNER
 from dualbrain.errors import DualbrainError, InvalidSetup
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Count = Annotated[int, Parameter(validator=validators.Number(gte=0))]
+MAKE = "`dualbrain adapt` makes them, of what went well"
 HEARD = 10
 """Whole answers in the shadow before a promotion: enough to see that it answers what is really asked; no measure."""
 
@@ -45,45 +45,58 @@ def list_adapters(*, json: Flag = False) -> int:
     registry = registry_of_adapters()
     damaged = {one: fault for one, fault in registry.verify().items() if fault}
     cards = [registry.card(one) for one in registry.ids() if one not in damaged]
-    serving = registry.serving()
+    serving, unmeasured = registry.serving(), measured_elsewhere(registry)
     if json:
-        tell({"adapters": cards, "serving": sorted(serving), "damaged": damaged})
+        told = {"adapters": cards, "serving": sorted(serving), "damaged": damaged}
+        tell(told | {"measured_elsewhere": unmeasured})
         return Exit.SUCCESS
-    table = Table("id", "robot", "base", "data set", "held out", "serves", box=None, pad_edge=False)
+    if not cards and not damaged:
+        Account().print(f"no adapters in {registry.folder}: {MAKE}", markup=False)
+        return Exit.SUCCESS
+    rows = list[tuple[str, ...]]()
     for card in cards:
         seen = "-" if card.held_out is None or card.held_out.compliance is None else f"{card.held_out.compliance:.0%}"
         base = card.base + (", bootstrapped" if card.bootstrapped else "")
-        table.add_row(card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-")
-    Console().print(table)
+        rows.append((card.id[:16], card.robot, base, card.dataset[:12], seen, "yes" if card.id in serving else "-"))
+    listing(("id", "robot", "base", "data set", "held out", "serves"), rows, gives=("base",))
     for one, fault in damaged.items():
         Account().print(f"{one[:16]} is damaged{', and serves' if one in serving else ''}: {fault}")
+    for one, words in unmeasured.items():
+        Account().print(f"{one[:16]} {words}")
     return Exit.SUCCESS
 
 
-def show(name: str, /) -> int:
+def show(name: str, /, *, robot: str = "panda") -> int:
     """Show the card of one adapter and what became of it, as JSON. Exit code 1 if it is damaged.
 
     Parameters
     ----------
     name
-        The beginning of its id.
+        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
+    robot
+        Whose champion.
     """
+    from dualbrain.adaptation.adapter_card import read_adapter_card
+    from dualbrain.adaptation.serving.names import folder_of, id_of, in_registry
     from dualbrain.adaptation.serving.opening import shadow_log
     from dualbrain.adaptation.serving.shadow import glances, summary
 
     registry = registry_of_adapters()
-    one = registry.find(name)
-    fault = registry.verify()[one]
-    told: dict[str, Any] = {"damaged": fault} if fault else {"card": registry.card(one)}
+    one = id_of(name, registry, robot)
+    fault = registry.fault(one) if in_registry(name) else ""
+    told: dict[str, Any] = (
+        {"damaged": fault} if fault else {"card": read_adapter_card(folder_of(name, registry, robot))}
+    )
     told["journal"] = [entry for entry in registry.journal() if entry.adapter == one]
     tell(told | {"shadow": summary(glances(shadow_log(registry.folder, one)))})
     return Exit.FAILED_SAFELY if fault else Exit.SUCCESS
 
 
 def verify(*, answers: Flag = False) -> int:
-    """Check that every adapter is as it was added: weights, config, card. Exit code 1 if not.
+    """Check that every adapter is as it was added: weights, config, card, journal. Exit code 1 if not.
 
-    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded.
+    Weights are those that the id names. Of adapters added before that was kept, config and card are not recorded. Who
+    serves in another runtime than it was measured in is named; nothing of it is damaged.
 
     Parameters
     ----------
@@ -91,12 +104,18 @@ def verify(*, answers: Flag = False) -> int:
         Also ask each one all its canaries, in the runtime that serves.
     """
     registry = registry_of_adapters()
-    found = registry.verify()
+    found, lost = registry.verify(), registry.unrecorded()
+    if not found:
+        Account().print(f"no adapters in {registry.folder}: {MAKE}", markup=False)
     if answers:
         found = {one: fault or canary_fault(registry, one) for one, fault in found.items()}
     for one, fault in found.items():
-        unknown = "" if registry.recorded(one) else "; config and card were not recorded when it was added"
+        unknown = (
+            "" if registry.recorded(one) or one in lost else "; config and card were not recorded when it was added"
+        )
         answer(f"{one[:16]} {fault or 'whole'}{unknown}")
+    for one, words in measured_elsewhere(registry).items():
+        answer(f"{one[:16]} {words}")
     return Exit.FAILED_SAFELY if any(found.values()) else Exit.SUCCESS
 
 
@@ -110,26 +129,73 @@ def canary_fault(registry: Adapters, one: str) -> str:
         return str(error)
 
 
+def runtime_here(registry: Adapters, one: str) -> str:
+    """The runtime in which an adapter serves here; raises `InvalidSetup`, `MissingPart` where it cannot serve."""
+    from dualbrain.adaptation.serving import opening
+
+    return opening.runtime_here(registry.at(one), cache())
+
+
+def require_runtime(registry: Adapters, one: str, measured: str) -> None:
+    """Raise `InvalidSetup` if `measured` is not the runtime in which an adapter serves here."""
+    from dualbrain.adaptation.promotion import AGAIN
+
+    if measured != (here := runtime_here(registry, one)):
+        raise InvalidSetup("runtime of the measurement", got=measured, allowed=here, fix=AGAIN)
+
+
+def measured_elsewhere(registry: Adapters) -> dict[str, str]:
+    """Who serves in another runtime than it was measured in, in words by id; who cannot serve here is left out."""
+    return {one: words for one in registry.serving() if (words := _elsewhere(registry, one))}
+
+
+def _elsewhere(registry: Adapters, one: str) -> str:
+    try:
+        here = runtime_here(registry, one)
+    except DualbrainError:
+        return ""
+    decision = registry.decision(one)
+    measured = decision.runtime if decision else ""
+    if measured == here:
+        return ""
+    how = "to measure it here, roll it back, then `dualbrain adapters measure` and `promote`"
+    return f"serves in {here}, but was measured in {measured or 'a runtime that was not recorded'}: {how}"
+
+
 def heard(registry: Adapters, one: str, champion: str) -> int:
-    """How many whole answers an adapter gave in the shadow of `champion`, "" being the bare base."""
+    """How many whole answers an adapter gave in the shadow of who serves: of `champion`, or "" where there is none.
+
+    Then whichever planner the robot was run with serves: its base, a model of the list, a packaged adapter, a server.
+    Another adapter of the registry serves nowhere, nor does the candidate itself.
+    """
     from dualbrain.adaptation.serving.layers import author_of
     from dualbrain.adaptation.serving.opening import shadow_log
+    from dualbrain.adaptation.serving.packaged import packaged_names
     from dualbrain.adaptation.serving.shadow import beside, glances, whole
+    from dualbrain.planner.registry import planner_names
 
-    served = author_of(registry.card(champion)) if champion else registry.card(one).base
-    return whole(beside(glances(shadow_log(registry.folder, one)), served))
+    known = (registry.card(one).base, *planner_names(), *packaged_names())
+    serving = author_of(registry.card(champion)) if champion else ""
+
+    def serves(author: str) -> bool:
+        return author == serving if serving else author in known or "@" in author  # MODEL@HOST
+
+    return whole(beside(glances(shadow_log(registry.folder, one)), serves))
 
 
-def shadow_fault(one: str, count: int, least: int) -> str:
+def shadow_fault(one: str, champion: str, count: int, least: int) -> str:
     """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
-    fix = f"let it hear more with `--planner shadow:{one[:16]}` (@BASE if no adapter serves), or waive it: `--shadow 0`"
+    beside = "" if champion else f"@{PLANNER}"
+    other = "" if champion else ", or beside another planner that the robot is run with"
+    fix = f"let it hear more with `--planner shadow:{one[:16]}{beside}`{other}; or waive it: `--shadow 0`"
     return "" if count >= least else f"{count} of {least} whole answers in the shadow of who serves: {fix}"
 
 
 def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     """Let an adapter serve in place of the present champion, if it was measured better. Exit code 1 if it was not.
 
-    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`), and it is asked its canaries in
+    Before, it must have stood in the shadow of who serves (`--planner shadow:NAME`; where no adapter is champion,
+    `shadow:NAME@PLANNER` with the planner that the robot is run with), and it is asked its canaries in
     the runtime that serves: what it answers now it must answer at every start.
 
     Parameters
@@ -145,6 +211,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
 
     from dualbrain.adaptation.adapters import NotPromoted
     from dualbrain.adaptation.promotion import Measured, Tolerances, decide
+    from dualbrain.adaptation.serving.names import PREFIX
 
     try:
         results = msgspec.json.decode(measured.read_bytes(), type=Measured)
@@ -155,20 +222,28 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
         results.candidate, results.champion, Tolerances(), np.random.default_rng(0), dataset=results.dataset
     )
     registry = registry_of_adapters()
+    registry.require_about(one := registry.find(name.removeprefix(PREFIX)), decision)
+    require_runtime(registry, one, decision.runtime)
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
-    count = heard(registry, one := registry.find(name), decision.champion)
-    if decision.promotes and (fault := shadow_fault(one, count, shadow) or canary_fault(registry, one)):
+    count = heard(registry, one, decision.champion)
+    if decision.promotes and (
+        fault := shadow_fault(one, decision.champion, count, shadow) or canary_fault(registry, one)
+    ):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY
     reason = f"{count} answers in the shadow" if shadow else f"the shadow was waived, with {count} answers in it"
     try:
-        registry.promote(name, decision, now=time.time(), reason=reason)
+        registry.promote(one, decision, now=time.time(), reason=reason)
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY
-    Account().print("promoted")
+    card = registry.card(one)
+    Account().print(
+        f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. It answers where "
+        f"`--planner adapter:champion` is said; without --planner {PLANNER} still does."
+    )
     return Exit.SUCCESS
 
 

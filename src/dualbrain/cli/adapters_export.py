@@ -22,34 +22,42 @@ Flag = Annotated[bool, Parameter(negative="")]
 Form = Literal["peft", "gguf", "merged"]
 
 
-def export(name: str, out: Path, /, *, form: Form = "peft") -> int:
+def export(name: str, out: Path, /, *, form: Form = "peft", robot: str = "panda") -> int:
     """Write an adapter, verified, for other programs; what it sits on besides the model is put into it.
+
+    It is there whole or not at all, and may be read by whom the umask lets.
 
     Parameters
     ----------
     name
-        The beginning of its id, or the name of one that comes with dualbrain.
+        The beginning of its id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
     out
         A new folder (peft), or a new file (gguf, merged).
     form
         peft: a folder that peft and vLLM load on the dequantised base. gguf: a GGUF-LoRA file for llama.cpp on the
         untouched base. merged: base and adapter as one GGUF in float16, for programs that load no adapters.
+    robot
+        Whose champion.
     """
+    from dualbrain.adaptation.durable import whole_folder
     from dualbrain.adaptation.serving.layers import stack_of
     from dualbrain.adaptation.serving.names import folder_of
 
     if out.exists():
         raise InvalidSetup("place to export to", got=str(out), allowed="a name that is free")
-    folder = folder_of(name if name.startswith("adapter:") else f"adapter:{name}", registry_of_adapters())
+    folder = folder_of(name, registry_of_adapters(), robot)
     if form == "peft" and _alone(folder):
-        shutil.copytree(folder, out)
+        with whole_folder(out) as beside:
+            for file in filter(Path.is_file, folder.iterdir()):
+                shutil.copyfile(file, beside / file.name)
     else:
         from dualbrain.adaptation.serving.combined import combined, write_peft
 
         stack = stack_of(folder, cache())
         pairs = combined([layer.folder for layer in stack.layers])
         if form == "peft":
-            write_peft(pairs, out, base=stack.layers[0].card.base_sha256)
+            with whole_folder(out) as beside:
+                write_peft(pairs, beside, base=stack.layers[0].card.base_sha256)
         else:
             from dualbrain.adaptation.serving.gguf_lora import write_gguf_lora
             from dualbrain.adaptation.serving.merged_gguf import write_merged
@@ -67,7 +75,7 @@ def _alone(folder: Path) -> bool:
     return read_adapter_card(folder).base not in packaged_names()
 
 
-def diff(first: str, second: str, /, *, json: Flag = False) -> int:
+def diff(first: str, second: str, /, *, robot: str = "panda", json: Flag = False) -> int:
     """Tell two adapters apart: how they were made, and how far what they compute differs, layer by layer.
 
     What only one of them sits on besides the model counts as its own.
@@ -75,9 +83,11 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     Parameters
     ----------
     first
-        The beginning of an id, or the name of one that comes with dualbrain.
+        The beginning of an id, `champion`, the name of one that comes with dualbrain, or a folder that a fit left.
     second
         Another.
+    robot
+        Whose champion.
     json
         Print one JSON object on stdout.
     """
@@ -86,7 +96,7 @@ def diff(first: str, second: str, /, *, json: Flag = False) -> int:
     from dualbrain.adaptation.serving.names import folder_of
 
     registry = registry_of_adapters()
-    folders = [folder_of(f"adapter:{name}", registry) for name in (first, second)]
+    folders = [folder_of(name, registry, robot) for name in (first, second)]
     cards = [read_adapter_card(folder) for folder in folders]
     apart, found = told_apart(cards[0], cards[1]), gaps(*_computed(*folders))
     if json:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,10 +13,13 @@ from dualbrain.cli.adapters import registry_of_adapters
 from dualbrain.cli.console import Account
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
-from dualbrain.cli.memory_open import reader, tell
+from dualbrain.cli.memory_open import ledger_path, reader, tell
+from dualbrain.errors import InvalidSetup, MissingPart
 
 if TYPE_CHECKING:
+    from dualbrain.adaptation.adapters import Adapters
     from dualbrain.adaptation.serving.layers import Stack
+    from dualbrain.memory.ledger import LedgerReader
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -34,7 +37,7 @@ def measure(
     Parameters
     ----------
     name
-        The candidate: the beginning of its id.
+        The candidate: the beginning of its id, the name of one that comes with dualbrain, or a folder that a fit left.
     data
         A data set, as `dualbrain adapt --export` writes it or a fit leaves it; its held-out part is asked.
     out
@@ -60,18 +63,21 @@ def measure(
     from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
     from dualbrain.adaptation.serving.layers import stack_of
     from dualbrain.adaptation.serving.measure import of_robot, questions
+    from dualbrain.adaptation.serving.names import champion_at
     from dualbrain.adaptation.unseen import unseen
     from dualbrain.runtime.vocabulary import vocabulary
 
     registry, dataset = registry_of_adapters(), read_dataset(data)
-    stack = stack_of(registry.at(name), cache())
+    stack = stack_of(_candidate(name, registry), cache())
     vocabulary_here = vocabulary(stack.top.robot)
     require_prompt(stack.top)
     require_fit(stack.top, stack.top.robot, vocabulary_here.hash)
     champion = registry.champion(place_of(stack.top))
-    present = stack_of(registry.at(champion), cache()) if champion != BARE else stack.below
+    if stack.top.id == champion:
+        raise _no_candidate()
+    present = stack_of(champion_at(registry, champion), cache()) if champion != BARE else stack.below
     with ExitStack() as opened:
-        remembered = opened.enter_context(reader(ledger)) if fly or ledger else None
+        remembered = opened.enter_context(_remembered(ledger)) if fly or ledger else None
         apart = of_robot(dataset.held_out, stack.top.robot)
         kept = unseen(apart, [layer.card for layer in (*stack.layers, *present.layers)], dataset, remembered)
         if len(kept) < len(apart):
@@ -92,6 +98,28 @@ def measure(
         tell(measured)
     Account().print(f"written: {out}" if fly else f"written: {out}; not flown, so nothing can be promoted by it")
     return Exit.SUCCESS
+
+
+def _candidate(name: str, registry: Adapters) -> Path:
+    """The folder of the adapter to measure; raises `InvalidSetup` where `name` means who serves."""
+    from dualbrain.adaptation.serving.names import CHAMPION, PREFIX, folder_of
+
+    if name.removeprefix(PREFIX) == CHAMPION:
+        raise _no_candidate()
+    return folder_of(name, registry)
+
+
+def _remembered(ledger: Path | None) -> AbstractContextManager[LedgerReader]:
+    """The memory that the data set was made of; raises `MissingPart` if it is not there."""
+    if not (path := ledger_path(ledger)).exists():
+        fix = "Name the one that the data set was made of with --ledger, or leave the flights out with --no-fly."
+        raise MissingPart(f"The memory ledger {path}", fix=fix)
+    return reader(ledger)
+
+
+def _no_candidate() -> InvalidSetup:
+    fix = "To measure it anew, roll it back first: `dualbrain adapters rollback`."
+    return InvalidSetup("candidate", got="the champion itself", allowed="another adapter", fix=fix)
 
 
 def _results(stack: Stack, who: str, asked: Any, registry: Any, flight: Any, threads: int) -> Any:

@@ -39,7 +39,12 @@ def answer(text: str) -> None:
 
 
 def listing(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Collection[str] = ()) -> None:
-    """Print rows below their `heads` on stdout, each cell whole and on one line, so that names and ids can be copied.
+    """Print rows on stdout as `columns` puts them."""
+    answer(columns(heads, rows, gives=gives))
+
+
+def columns(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Collection[str] = ()) -> str:
+    """Rows below their `heads`, each cell whole and on one line, so that names and ids can be copied.
 
     Where the screen is too narrow, the columns in `gives` wrap; where that is not enough, lines grow longer than the
     screen. A cell is text, never markup, and what would steer a terminal is shown as U+FFFD.
@@ -55,7 +60,7 @@ def listing(heads: Sequence[str], rows: Iterable[Sequence[str]], *, gives: Colle
     console = Console(highlight=False)
     with console.capture() as printed:
         console.print(table, crop=False, overflow="ignore")
-    answer(printed.get().rstrip("\n"))
+    return printed.get().rstrip("\n")
 
 
 def plain(text: str) -> str:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
+
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.memory.consolidation import BY_PERSON
+from dualbrain.memory.derive import effective
 from dualbrain.memory.events import (
     ADAPTER,
     AUDIT,
@@ -61,9 +64,12 @@ def roll_back(memory: Memory, target: int, reason: str, *, now: float, actor: st
 
 
 def note_adapter(memory: Memory, adapter: str, dataset: str, names: Sequence[str], *, now: float) -> None:
-    """Write down that `adapter` was trained on these memories, from the data set of hash `dataset`."""
+    """Write down that `adapter` was trained on these memories, from the data set of hash `dataset`; once is enough."""
     _known(memory, names)
-    memory.append([Entry(ADAPTER, adapter, AdapterUse(adapter, dataset, tuple(names)))], now=now)
+    use = AdapterUse(adapter, dataset, tuple(names))
+    noted = (event.payload for event in effective(memory.ledger, (ADAPTER,)))
+    if use not in (msgspec.json.decode(payload, type=AdapterUse) for payload in noted):
+        memory.append([Entry(ADAPTER, adapter, use)], now=now)
 
 
 def note_uses(memory: Memory, episode: str, uses: Sequence[Use], *, now: float) -> None:

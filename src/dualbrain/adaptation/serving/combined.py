@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.serving.peft_lora import CONFIG, WEIGHTS, Pair, read_lora
 
 
@@ -25,7 +24,10 @@ def combined(folders: list[Path]) -> dict[str, Pair]:
 
 
 def write_peft(pairs: dict[str, Pair], folder: Path, *, base: str) -> None:
-    """Write `pairs` to `folder` as peft and vLLM load them: float32, α = r, so that the scaling is 1."""
+    """Write `pairs` to `folder` as peft and vLLM load them: float32, α = r, so that the scaling is 1.
+
+    File by file: for a folder that is whole or not there, name one of `whole_folder`.
+    """
     from safetensors.numpy import save  # noqa: PLC0415  (only where an adapter is exported)
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -42,5 +44,5 @@ def write_peft(pairs: dict[str, Pair], folder: Path, *, base: str) -> None:
         f"base_model.model.{module}.lora_{half}.weight": np.ascontiguousarray(matrix, np.float32)
         for module, pair in pairs.items() for half, matrix in (("A", pair.a), ("B", pair.b))
     }  # fmt: skip
-    write_durably(folder / WEIGHTS, save(tensors, {"format": "pt"}))
-    write_durably(folder / CONFIG, json.dumps(told, indent=2, sort_keys=True).encode())
+    (folder / WEIGHTS).write_bytes(save(tensors, {"format": "pt"}))
+    (folder / CONFIG).write_text(json.dumps(told, indent=2, sort_keys=True))

@@ -27,18 +27,27 @@ def served(stack: Stack, cache: Path) -> Path:
     """The base file on which the adapters of `stack` are worn: of a small one that is quantised, the same in float16.
 
     For a 4-bit matrix llama.cpp rounds activations to 8 bits, which the fit did not do, and near-ties turn
-    (docs/serving.md). To read what a base holds takes seconds, so that is done only where size and cache do not decide.
+    (docs/serving.md).
+    """
+    path = served_at(stack, cache)
+    return path if path == stack.gguf else _made(path, lambda: write_merged({}, stack.gguf, path))
+
+
+def served_at(stack: Stack, cache: Path) -> Path:
+    """Where that file lies, or will when it is made.
+
+    To read what a base holds takes seconds, so that is done only where size and cache do not decide.
     """
     path = _folder(cache) / f"{stack.base}-{find_file(stack.base).sha256[:16]}-f16.gguf"
     size = stack.gguf.stat().st_size
     if size > SMALL / 2:  # with 8 bits or less a number, too large in half precision; with more, as good as that
         return stack.gguf
-    if _is_whole(path):
+    if path.is_file():
         return path
     in_half = 2 * sum(prod(shape) for shape in read_gguf_base(stack.gguf).shapes.values())
     if in_half > SMALL or size > in_half:
         return stack.gguf
-    return _made(path, lambda: write_merged({}, stack.gguf, path))
+    return path
 
 
 def worn(stack: Stack, cache: Path) -> tuple[Worn, ...]:

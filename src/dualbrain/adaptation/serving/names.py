@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.adapters import BARE, Adapters
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import InvalidSetup, UnknownName
 
 PREFIX, CHAMPION, SHADOW, TORCH = "adapter:", "champion", "shadow:", "transformers:"
 
@@ -37,10 +38,41 @@ def folder_of(name: str, adapters: Adapters, robot: str = "") -> Path:
     if short in packaged_names():
         return packaged_folder(short)
     if short == CHAMPION:
-        return adapters.at(champion_of(adapters, robot))
+        return champion_at(adapters, champion_of(adapters, robot))
     if "/" in short:
         return Path(short)
-    return adapters.at(short)
+    return adapters.at(id_of(short, adapters))
+
+
+def id_of(name: str, adapters: Adapters, robot: str = "") -> str:
+    """The id that `name` means: the beginning of one in the registry, or `champion` of `robot`; `adapter:` may lead it.
+
+    Of a packaged adapter, or of one in a folder, it is that of its card. Raises `UnknownName`, `InvalidSetup`.
+    """
+    short = name.removeprefix(PREFIX)
+    if short == CHAMPION:
+        return champion_of(adapters, robot)
+    if not in_registry(short):
+        return read_adapter_card(folder_of(short, adapters)).id
+    try:
+        return adapters.find(short)
+    except UnknownName as error:
+        known = (*error.known, *packaged_names(), CHAMPION)
+        raise UnknownName("adapter", short, known, owner="this installation") from error
+
+
+def in_registry(name: str) -> bool:
+    """Whether `name` can only mean an adapter of the registry: no packaged one, no folder."""
+    short = name.removeprefix(PREFIX)
+    return short not in packaged_names() and "/" not in short
+
+
+def champion_at(adapters: Adapters, one: str) -> Path:
+    """The folder of `one`, which serves; raises `InvalidSetup` with the way out if it is damaged."""
+    if fault := adapters.fault(one):
+        fix = "Let the former one serve: `dualbrain adapters rollback --reason WORDS`."
+        raise InvalidSetup(f"champion {one[:16]}", got=fault, allowed="as it was added", fix=fix)
+    return adapters.at(one)
 
 
 def champion_of(adapters: Adapters, robot: str) -> str:

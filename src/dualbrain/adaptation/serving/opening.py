@@ -10,7 +10,7 @@ from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.adaptation.serving.canary import SCENES, Watch
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
-from dualbrain.adaptation.serving.gguf_cache import served, worn
+from dualbrain.adaptation.serving.gguf_cache import served, served_at, worn
 from dualbrain.adaptation.serving.layers import Stack, author_of, stack_of
 from dualbrain.adaptation.serving.names import (
     PREFIX,
@@ -149,6 +149,14 @@ def examine(folder: Path, cache: Path, adapters: Path) -> str:
         return watch_of(planner, stack, cache, adapters, config)(planner, most=len(SCENES))
     finally:
         planner.close()
+
+
+def runtime_here(folder: Path, cache: Path) -> str:
+    """The runtime in which the adapter in `folder` serves here, as a measurement names it; nothing is started.
+
+    Raises as `stack_of` does.
+    """
+    return runtime_of(served_at(stack_of(folder, cache), cache))
 
 
 def wear(stack: Stack, cache: Path, config: LlamaConfig, *, called: str = "", asking: Asking = SHORT) -> LlamaPlanner:

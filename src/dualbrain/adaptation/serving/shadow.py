@@ -6,7 +6,7 @@ question that comes while it still thinks is passed over and counted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from threading import Lock, Thread
@@ -152,9 +152,9 @@ def whole(seen: Sequence[Glance]) -> int:
     return sum(one.finish == STOP for one in seen)
 
 
-def beside(seen: Sequence[Glance], served: str) -> tuple[Glance, ...]:
-    """Those in the shadow of `served`, an author as proposals name it, in whatever runtime."""
-    return tuple(one for one in seen if one.served.removesuffix(IN_TORCH) == served)
+def beside(seen: Sequence[Glance], serves: Callable[[str], bool]) -> tuple[Glance, ...]:
+    """Those in the shadow of who `serves`, an author as proposals name it, in whatever runtime."""
+    return tuple(one for one in seen if serves(one.served.removesuffix(IN_TORCH)))
 
 
 def summary(seen: tuple[Glance, ...]) -> str:
