@@ -11,7 +11,8 @@ from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.again import Watching, again, differs
 from dualbrain.evaluation.case import case_of
-from dualbrain.evaluation.flight import OUT_OF_TIME, Means, fly
+from dualbrain.evaluation.failure import OUT_OF_TIME
+from dualbrain.evaluation.flight import Means, fly
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Accident

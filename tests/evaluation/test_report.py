@@ -21,6 +21,7 @@ from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
+from dualbrain.evaluation.failure import class_of
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview
 from dualbrain.evaluation.markdown import grid_lines
@@ -42,6 +43,8 @@ from tests.evaluation.test_runner import SUITE, lines_of
 from tests.planner.questions import request
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+ASTRAY = {"success": False}
+"""Done, says the robot; not so, says truth: `actuator`."""
 KEPT = [Kept("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
 
 
@@ -143,6 +146,12 @@ def test_failures_add_up(rows):
     assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
 
 
+def test_failures_are_told_by_the_rule_of_today_whatever_their_rows_say(rows):
+    before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
+    assert failures(before) == failures(rows)
+    assert [one.key for one in chosen(before, 9)] == [one.key for one in chosen(rows, 9)]
+
+
 def test_what_was_not_measured_is_said(rows, suite):
     said = " ".join(missing(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
@@ -154,21 +163,21 @@ def test_what_was_not_measured_is_said(rows, suite):
 
 def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
     some = [
-        row(method, k, key=f"{method}{k}", failure=failure, success=False)
-        for k, (method, failure) in enumerate(
-            [("B1", "actuator"), ("B1", "actuator"), ("B1", "perception"), ("B3", "frequent takeover")]
+        row(method, k, key=f"{method}{k}", **ASTRAY | values)
+        for k, (method, values) in enumerate(
+            [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"frequency": 0.6})]
         )
     ]
-    assert {one.failure for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
-    assert chosen([*some, row("B2", key="idle", failure="invalid contract", trace_t=[])], 9) != []
-    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", failure="actuator", trace_t=[])], 9)]
+    assert {class_of(one) for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
+    assert chosen([*some, row("B2", key="idle", **ASTRAY, trace_t=[])], 9) != []
+    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", **ASTRAY, trace_t=[])], 9)]
 
 
 def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again():
-    flown = row("B1", key="flown", failure="actuator", severity=0.9)
-    shared = row("B2", key="shared", failure="actuator", severity=0.9, same_as="flown")
-    again = row("G", repetition=1, key="again", failure="actuator", severity=0.8)
-    elsewhere = row("B1", seed=7, key="elsewhere", failure="actuator", severity=0.1)
+    flown = row("B1", key="flown", **ASTRAY, severity=0.9)
+    shared = row("B2", key="shared", **ASTRAY, severity=0.9, same_as="flown")
+    again = row("G", repetition=1, key="again", **ASTRAY, severity=0.8)
+    elsewhere = row("B1", seed=7, key="elsewhere", **ASTRAY, severity=0.1)
     assert [one.key for one in chosen([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
 
 

@@ -15,6 +15,7 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.evaluation.case import Case
 from dualbrain.evaluation.door import MethodDoor
+from dualbrain.evaluation.failure import OUT_OF_TIME
 from dualbrain.evaluation.forgetful import Forgetful
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.stopwatch import Stopwatch
@@ -44,8 +45,6 @@ if TYPE_CHECKING:
     from dualbrain.world.depth_perception import DepthPerception
 
 Clock = Callable[[], float]
-OUT_OF_TIME = "out of time"
-"""How the reason of an outcome begins that the time limit ended."""
 PARTS = ("physics", "monitor", "filter", "planner", "rest")
 ASIDE = "aside"
 """Wall time that belongs to no episode: the question that only measures."""

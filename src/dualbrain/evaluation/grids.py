@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, isfinite, isnan
 
-from dualbrain.evaluation.failure import CLASSES
+from dualbrain.evaluation.failure import CLASSES, class_of
 from dualbrain.evaluation.hypotheses import Answer, Claim
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
@@ -134,9 +134,9 @@ def _cells(rows: Sequence[Row], methods: Sequence[str], name: str) -> list[str]:
 def failures(rows: Sequence[Row]) -> Grid:
     """How many episodes failed, by class."""
     methods = methods_of(rows)
-    counts = {name: Counter(row.failure for row in rows if row.method == name and row.failure) for name in methods}
+    counts = {name: Counter(class_of(row) for row in rows if row.method == name) for name in methods}
     lines = [(one, *(str(counts[name][one]) for name in methods)) for one in CLASSES]
-    lines.append(("all failures", *(str(sum(counts[name].values())) for name in methods)))
+    lines.append(("all failures", *(str(sum(counts[name][one] for one in CLASSES)) for name in methods)))
     return Grid("Failures by class", ("class", *methods), tuple(lines), "by the first stage that failed")
 
 

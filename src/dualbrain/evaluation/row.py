@@ -65,7 +65,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     progress: float
     second_opinion: str
     failure: str
-    """Class of the failure, "" for a success."""
+    """Class of the failure by the rule of the day it was flown, "" for a success; what is told is `class_of`."""
     perceived_error: float | None
     """Distance of the goal's thing from where it was perceived when the contract was accepted [m]."""
     perceived_bound: float | None
