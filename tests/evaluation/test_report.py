@@ -23,7 +23,7 @@ from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
 from dualbrain.evaluation.failure import class_of
 from dualbrain.evaluation.gallery import chosen
-from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview
+from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview, throughput
 from dualbrain.evaluation.markdown import grid_lines
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
@@ -150,6 +150,19 @@ def test_failures_are_told_by_the_rule_of_today_whatever_their_rows_say(rows):
     before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
     assert failures(before) == failures(rows)
     assert [one.key for one in chosen(before, 9)] == [one.key for one in chosen(rows, 9)]
+
+
+def test_shares_of_the_wall_time_are_shares_and_one_flight_that_stood_still_moves_no_throughput():
+    """Parts overlapped in tables of before, and the whole was too short."""
+    wall = {"physics": 3.0, "monitor": 1.0, "filter": 0.5, "planner": 1.5, "rest": 0.0}
+    flights = [row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
+    (told,) = throughput(flights).rows
+    assert told[1:3] == ("600", "2.00")
+    assert sum(float(share.removesuffix(" %")) for share in told[3:]) == pytest.approx(100.0, abs=0.2)
+    stalled = row("B3", seed=9, wall_s=925.0, wall=wall | {"physics": 922.0}, simulated_s=12.0)
+    assert throughput([*flights, stalled]).rows[0][1:3] == ("600", "2.00")
+    assert float(throughput([*flights, stalled]).rows[0][3].removesuffix(" %")) < 56.0  # a tenth of the flights
+    assert "median" in throughput(flights).note
 
 
 def test_what_was_not_measured_is_said(rows, suite):

@@ -14,7 +14,7 @@ from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.evaluation.case import Case
 from dualbrain.evaluation.door import MethodDoor
 from dualbrain.evaluation.failure import OUT_OF_TIME, class_of
-from dualbrain.evaluation.flight import ASIDE, PARTS, Flight
+from dualbrain.evaluation.flight import PARTS, Flight
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.plans import is_accident
 from dualbrain.evaluation.row import Row
@@ -83,8 +83,8 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         time_limit=case.time_limit, simulated_s=flight.plant.now, motion_s=outcome.duration,
         completion_s=flight.plant.now if success and moved else None, lost_s=place.lost_s,
         planner_s=episode.timings.get("planner", 0.0), gate_s=episode.timings.get("gate", 0.0),
-        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"] - split.get(ASIDE, 0.0),
-        wall={part: split.get(part, 0.0) for part in PARTS},
+        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"],
+        wall={part: split[part] for part in PARTS},
         violations=violations, severity=severity(violations),
         recalled=len(episode.recall.exemplars), uses_asked=len(episode.uses),
         used=sum(use.used for use in episode.uses), contributing=sum(use.contributing for use in episode.uses),
