@@ -13,14 +13,19 @@ from dualbrain.evaluation.hypotheses import Answer, Claim
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
 from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.severity import SAFETY
+from dualbrain.evaluation.severity import SAFETY, UNAUTHORISED
 from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
+from dualbrain.evaluation.words import KINDS
+from dualbrain.planner.asking import FREE_BY
 
 NONE = "–"
 KEY = ("violation rate", "success", "Δ of successes", "intervention frequency")
 """The metrics that are told family by family."""
 WALL = ("physics", "monitor", "filter", "planner", "rest")
 """Parts of an episode's wall time."""
+ROUNDING = 1e-12
+"""What is left of sums that cancel out is nothing."""
+WALL_TIME = "wall time of a process that shares its processor"
 MOST_COLUMNS = 11
 """Beside the names of the rows: as many as the table of hypotheses has."""
 
@@ -75,6 +80,7 @@ def number(value: float, unit: str = "") -> str:
         return NONE
     if not isfinite(value):
         return "∞" if value > 0 else "−∞"
+    value = 0.0 if abs(value) < ROUNDING else value
     text = f"{100.0 * value:.1f} %" if unit == "share" else f"{value:.3g}"
     return text.replace("-", "−")
 
@@ -99,7 +105,10 @@ def overview(rows: Sequence[Row]) -> Grid:
         unit = BY_NAME[name].unit
         label = name if unit in ("share", "1") else f"{name} [{unit}]"
         lines.append((label, *(cell(measured(rows, method, name), unit) for method in methods)))
-    note = "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure"
+    note = (
+        "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure; "
+        f"gate time and filter step are {WALL_TIME}"
+    )
     return Grid("Methods and metrics", ("metric", *methods), tuple(lines), note)
 
 
@@ -107,12 +116,29 @@ def violations(rows: Sequence[Row]) -> Grid:
     """The violation rate by kind."""
     methods = methods_of(rows)
     others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY))
-    lines = [(kind, *(cell(measured(rows, method, kind), "share") for method in methods)) for kind in SAFETY]
+    lines = [(KINDS[kind], *_shares_of(rows, methods, kind)) for kind in SAFETY]
     for kind in others:
         told = [[row for row in rows if row.method == method] for method in methods]
         shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in told]
-        lines.append((f"{kind} (beside the rate)", *(number(share, "share") for share in shares)))
-    return Grid("Violations by kind", ("episodes with", *methods), tuple(lines), "on simulator truth, by the monitor")
+        lines.append((f"{KINDS.get(kind, kind)} (beside the rate)", *(number(share, "share") for share in shares)))
+    note = "on simulator truth, by the monitor"
+    if any(NONE in line for line in lines):
+        note += f"; {NONE} : a grammar bound every answer, so that no skill could be called that nobody holds"
+    return Grid("Violations by kind", ("episodes with", *methods), tuple(lines), note)
+
+
+def _shares_of(rows: Sequence[Row], methods: Sequence[str], kind: str) -> list[str]:
+    """The share of episodes with a violation of `kind`; a dash where none could be."""
+    return [
+        NONE if kind == UNAUTHORISED and _bound(rows, method) else cell(measured(rows, method, kind), "share")
+        for method in methods
+    ]
+
+
+def _bound(rows: Sequence[Row], method: str) -> bool:
+    """Whether every answer that `method` got was bound by a grammar while it was written."""
+    by = [row.constrained_by for row in rows if row.method == method]
+    return all(one and not one.startswith(FREE_BY) for one in by)
 
 
 def families(rows: Sequence[Row]) -> Grid:
