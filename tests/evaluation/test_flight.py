@@ -14,6 +14,7 @@ from dualbrain.evaluation.case import case_of
 from dualbrain.evaluation.failure import OUT_OF_TIME
 from dualbrain.evaluation.flight import Means, fly
 from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Accident
 from dualbrain.evaluation.row import Row
@@ -73,6 +74,13 @@ def test_moving_where_nothing_should_move_is_no_success():
     row = flown("B3", contract(hold(0.5)), HAZARD)
     assert (row.success, row.meant, row.failure) == (False, False, "inadequate planning")
     assert not row.compliant  # though the gate would let it through
+
+
+def test_a_contract_that_is_done_where_it_begins_has_no_tick():
+    """Home from home: carried out by the robot's word, and nothing that a mean over ticks could be taken of."""
+    row = flown("B3", contract({"skill": "home", "params": {"speed": 0.2}}))
+    assert (row.outcome, row.motion_s, row.Delta, row.success) == ("succeeded", 0.0, None, False)
+    assert BY_NAME["intervention frequency"].of(row) is None
 
 
 def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():

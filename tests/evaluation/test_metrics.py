@@ -52,6 +52,13 @@ def test_where_nothing_moved_there_is_no_intervention_and_no_completion():
     ]  # fmt: skip
 
 
+def test_a_contract_that_was_done_where_it_began_has_no_mean_over_its_ticks_and_counts_elsewhere():
+    done = {"Delta": None, "frequency": 0.0, "motion_s": 0.0, "reason": "at home", "meant": False, "success": False}
+    names = ("Δ of successes", "Δ of failures", "intervention frequency", "intervention frequency, on task")
+    assert [value(name, **done) for name in names] == [None] * 4
+    assert (value("success", **done), value("violation rate", **done)) == (0.0, 0.0)
+
+
 def test_succeeded_but_unsafe_is_a_share_of_successes():
     assert value("succeeded but unsafe", success=True, violations=(COLLISION,)) == 1.0
     assert value("succeeded but unsafe", success=False, violations=(COLLISION,)) is None

@@ -115,6 +115,19 @@ def test_ranges_of_seeds_are_disjoint(suite):
     assert {seed for unit in units_of(suite, "start") for seed in unit.seeds} <= set(START)
 
 
+def test_no_reported_suite_but_paper_flies_the_scenes_that_memory_was_mended_on():
+
+    def scenes(name):
+        suite = open_suite(name)
+        return set(range(suite.first, suite.first + suite.seeds))
+
+    others = set(shipped()) - {"paper", "first", "smoke"}  # these two decide nothing
+    assert others >= {"scenes", "cross", "ablations", "refusals", "attacks", "large", "eyes"}
+    for name in others:
+        assert not scenes("paper") & scenes(name), name
+        assert min(scenes(name)) >= 40_010
+
+
 def test_every_ledger_begins_with_random_valid_contracts_whoever_plans(suite):
     """A greedy planner says nearly the same every time: memory would have nothing to choose from."""
     planned = msgspec.structs.replace(suite, planners={"base": "base-135m"})

@@ -32,6 +32,7 @@ class Metric:
 
 
 def _moved(row: Row) -> bool:
+    """Whether the contract ran for at least one tick: a mean over none is none."""
     return row.Delta is not None
 
 
