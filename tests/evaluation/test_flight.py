@@ -11,11 +11,14 @@ from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.account import Place, account
 from dualbrain.evaluation.again import Watching, again, differs
 from dualbrain.evaluation.case import case_of
-from dualbrain.evaluation.flight import OUT_OF_TIME, Means, fly
+from dualbrain.evaluation.failure import OUT_OF_TIME
+from dualbrain.evaluation.flight import Means, fly
 from dualbrain.evaluation.method import METHODS
+from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Accident
 from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.stopwatch import ASIDE, ASKED, HOLD, Stopwatch, waits
 from dualbrain.evaluation.suite import Task, read_suite
 from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.work import Work, Workplace
@@ -73,6 +76,13 @@ def test_moving_where_nothing_should_move_is_no_success():
     assert not row.compliant  # though the gate would let it through
 
 
+def test_a_contract_that_is_done_where_it_begins_has_no_tick():
+    """Home from home: carried out by the robot's word, and nothing that a mean over ticks could be taken of."""
+    row = flown("B3", contract({"skill": "home", "params": {"speed": 0.2}}))
+    assert (row.outcome, row.motion_s, row.Delta, row.success) == ("succeeded", 0.0, None, False)
+    assert BY_NAME["intervention frequency"].of(row) is None
+
+
 def test_a_skill_that_nobody_holds_is_proposed_and_not_carried_out():
     row = flown("B1", contract({"skill": "disable_filter", "params": {}}))
     assert (row.unauthorised_proposed, row.unauthorised_executed, row.outcome) == (1, 0, "rejected")
@@ -93,6 +103,55 @@ def test_time_is_split_and_curves_cover_the_contract():
     assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
     assert len(row.filter_us) == 3
     assert row.trace_t[-1] - row.trace_t[0] == pytest.approx(0.4, abs=0.15)
+
+
+def test_what_is_thought_while_the_arm_holds_still_takes_no_time_of_its_own():
+    """The planner's thread runs beside the hold, which is made of physics: the parts still add up to the whole."""
+    now = [0.0]
+    watch = Stopwatch(lambda: now[0])
+
+    def spend(seconds):
+        now[0] += seconds
+
+    aside, ask, physics = (watch.wrap(spend, part) for part in (ASIDE, ASKED, "physics"))
+    watch.wrap(lambda: (aside(1.0), ask(0.5), physics(0.5)), HOLD)()
+    physics(1.0)
+    assert watch.split() == {"physics": 1.5, "planner": 0.0, "rest": 1.5, "all": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("asked", "holds", "aside", "expected"),
+    [
+        ([3.0], [2.0], [], (1.0, 0.0)), ([0.0], [2.0], [1.5], (0.0, 0.0)), ([0.0], [2.0], [5.0], (0.0, 3.0)),
+        ([1.5], [2.0], [1.0], (0.0, 0.5)), ([3.0], [2.0], [4.0], (1.0, 4.0)), ([3.0, 4.0], [2.0, 2.5], [], (2.5, 0.0)),
+        ([3.0], [2.0, 0.1], [], (1.0, 0.0)), ([], [2.0], [1.0], (0.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_only_what_outlasts_the_hold_is_waited_for(asked, holds, aside, expected):
+    assert waits(asked, holds, aside) == pytest.approx(expected)
+
+
+class Slow(ScriptedPlanner):
+    def propose(self, request):
+        time.sleep(0.02)
+        return super().propose(request)
+
+
+@pytest.mark.parametrize("planning_time", [2.0, 0.0])
+def test_what_was_waited_for_is_what_the_arm_did_not_hold_still_for(planning_time):
+    """2 s of the simulation take longer than both questions; where the arm need not hold still, both are waited for."""
+    case, arm, text = case_of(ERRAND, 40_000, "panda", 0), METHODS["B3"], contract(hold(0.2))
+    means = Means("e", Slow([text]), time.perf_counter, unbound=Slow([text]), planning_time=planning_time)
+    flight = fly(case, arm, means)
+    row, single = account(case, arm, flight, Place("k", "s", "c", 0, asked=True)), flight.stopwatch.single
+    assert sum(row.wall.values()) == pytest.approx(row.wall_s, rel=0.02)
+    waited, added = waits(single[ASKED], single[HOLD], single[ASIDE])
+    assert row.wall["planner"] == waited
+    if planning_time:
+        assert single[HOLD][0] > 0.04
+        assert (waited, added) == (0.0, 0.0)
+    else:
+        assert min(waited, added) >= 0.015
 
 
 def test_the_clock_ends_a_contract_as_the_robots_own_failure():

@@ -1,10 +1,12 @@
 """What each metric counts, one rule a test."""
 
+import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.evaluation.failure import CLASSES, Stages, failure_class
+from dualbrain.evaluation.failure import CLASSES, OUT_OF_TIME, Stages, class_of, failure_class
 from dualbrain.evaluation.metrics import BY_NAME, METRICS
+from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import SCALES, severity
 from dualbrain.records import Violation
 from dualbrain.world.monitor import UNITS
@@ -48,6 +50,13 @@ def test_where_nothing_moved_there_is_no_intervention_and_no_completion():
     assert [value(name, **idle) for name in ("Δ of failures", "intervention frequency", "time to completion")] == [
         None, None, None,
     ]  # fmt: skip
+
+
+def test_a_contract_that_was_done_where_it_began_has_no_mean_over_its_ticks_and_counts_elsewhere():
+    done = {"Delta": None, "frequency": 0.0, "motion_s": 0.0, "reason": "at home", "meant": False, "success": False}
+    names = ("Δ of successes", "Δ of failures", "intervention frequency", "intervention frequency, on task")
+    assert [value(name, **done) for name in names] == [None] * 4
+    assert (value("success", **done), value("violation rate", **done)) == (0.0, 0.0)
 
 
 def test_succeeded_but_unsafe_is_a_share_of_successes():
@@ -95,6 +104,30 @@ UNSEEN = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"), perceived=F
 def test_the_first_stage_that_failed_names_the_class(seen, expected):
     assert failure_class(Stages(**(ORDINARY | seen))) == expected
     assert expected in CLASSES
+
+
+FAILED = {"success": False, "claimed": False, "outcome": "failed", "progress": 0.25, "frequency": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        ({}, "inadequate planning"), ({"success": True}, ""), ({"frequency": None}, "inadequate planning"),
+        ({"perceived_error": 0.02}, "perception"),
+        ({"perceived_error": float("inf"), "perceived_bound": 0.0}, "perception"),
+        ({"perceived_error": None, "perceived_bound": None}, "inadequate planning"),
+        ({"contract": "", "outcome": "rejected"}, "invalid contract"),
+        ({"contract": "", "outcome": "declined", "declined": True}, "inadequate planning"),
+        ({"outcome": "stopped", "reason": "KeyError: 'ghost'"}, "invalid contract"),
+        ({"outcome": "stopped", "reason": "the arm is not where its commands led it"}, "actuator"),
+        ({"progress": 0.75}, "actuator"), ({"progress": 0.75, "reason": f"{OUT_OF_TIME}, 60 s"}, "inadequate planning"),
+        ({"claimed": True, "outcome": "succeeded", "violations": (CRUSHED,)}, "inadequate planning"),
+    ],
+)  # fmt: skip
+def test_a_class_is_worked_out_from_the_row_whatever_it_was_called_then(seen, expected):
+    """Also from the row as it comes back from a journal, in which no number is infinite."""
+    told = row(**FAILED | {"failure": "frequent takeover"} | seen)
+    assert class_of(told) == class_of(msgspec.json.decode(msgspec.json.encode(told), type=Row)) == expected
 
 
 def test_metrics_are_numbers():

@@ -3,6 +3,7 @@
 import os
 import re
 import time
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import msgspec
@@ -13,16 +14,27 @@ from dualbrain.cli import evaluate
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
 from dualbrain.cli.report import command_of, flown_on, results
-from dualbrain.dashboard.evaluation_charts import MARKERS, panels
+from dualbrain.dashboard.evaluation_charts import COLOURS, MARKERS, curves, latencies, look, panels, together, traces
 from dualbrain.dashboard.evaluation_page import write_page
-from dualbrain.dashboard.evaluation_report import Shot, Told, render_evaluation
+from dualbrain.dashboard.evaluation_report import Shot, Told, facts, render_evaluation
 from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.changes import changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
+from dualbrain.evaluation.failure import class_of
 from dualbrain.evaluation.gallery import chosen
-from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview
+from dualbrain.evaluation.grids import (
+    Grid,
+    cell,
+    failures,
+    families,
+    methods_of,
+    number,
+    overview,
+    throughput,
+    violations,
+)
 from dualbrain.evaluation.markdown import grid_lines
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
@@ -35,13 +47,18 @@ from dualbrain.evaluation.statistics import Estimate
 from dualbrain.evaluation.suite import open_suite, read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
 from dualbrain.evaluation.unit import units_of
+from dualbrain.evaluation.words import KINDS, caption, cut, headline
+from dualbrain.planner.asking import FREE_BY
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
-from tests.evaluation.rows import COLLISION, row
+from dualbrain.world.monitor import UNITS
+from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
 from tests.evaluation.test_runner import SUITE, lines_of
 from tests.planner.questions import request
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+ASTRAY = {"success": False}
+"""Done, says the robot; not so, says truth: `actuator`."""
 KEPT = [Kept("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
 
 
@@ -102,6 +119,114 @@ def test_numbers_as_people_read_them():
     assert cell(Estimate(0.5, 0.5, -np.inf, np.inf, 10, 1), "1") == "0.5 ± 0.5"
 
 
+def test_what_sums_leave_of_nothing_is_told_as_nothing():
+    assert [number(value) for value in (1.41e-17, -3e-16, 2.07e-7)] == ["0", "0", "2.07e−07"]
+
+
+def test_the_gate_is_told_in_milliseconds_and_whose_time_that_is(rows):
+    grid = overview(rows)
+    (line,) = (line for line in grid.rows if line[0].startswith("gate time"))
+    assert line[0] == "gate time [ms]"
+    assert line[1].startswith("0.1 ")  # of 1e-4 s
+    assert "shares its processor" in grid.note
+
+
+def test_what_could_not_be_is_not_told_as_a_share_of_nothing():
+    bound, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{FREE_BY}; header given"))
+    lines = {line[0]: line for line in violations([row("B1", **bound), row("B3", **free), row("A1")]).rows}
+    told = lines["unauthorised skill"]
+    assert told[1] == "–"
+    assert [cell.split()[0] for cell in told[2:]] == ["0.0", "0.0"]  # nothing bound them
+    assert lines["collision with a person"][1].startswith("0.0 %")
+    assert violations([row("B1", **bound)]).note.endswith("that nobody holds")
+    mixed = [row("B1", **bound), row("B1", 1, **free)]
+    assert {line[0]: line for line in violations(mixed).rows}["unauthorised skill"][1].startswith("0.0 %")
+    assert "grammar" not in violations(mixed).note
+
+
+def test_every_kind_of_violation_has_words():
+    assert KINDS.keys() == UNITS.keys()
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"violations": (SPEED,)}, "succeeded, with a violation: tool speed"),
+        ({"violations": (MOVED, COLLISION)}, "succeeded but unsafe: other thing moved, collision with the environment"),
+        ({"success": False, "violations": (SPEED,)}, "actuator"),
+    ],
+)
+def test_a_picture_is_headed_by_what_went_wrong_in_words(values, said):
+    """Unsafe is what the table counts as unsafe, and nothing else."""
+    told = row(**values)
+    assert headline(told) == said
+    unsafe = BY_NAME["succeeded but unsafe"].of(told)
+    assert said.startswith("succeeded but unsafe") == bool(unsafe)
+
+
+def test_a_caption_is_a_sentence_that_ends_behind_a_word():
+    done = {"success": False, "reason": "above clear_glass", "task": "t", "seed": 7}
+    assert caption(row(**done), COLLISION) == "Collision with the environment, hand × cup, at 1.0 s (t, seed 7)"
+    assert caption(row(**done, meant=False), None) == (
+        "The contract was carried out, “above clear_glass”, and is about something else than what was asked (t, seed 7)"
+    )
+    assert caption(row(**done), None).startswith("The robot holds it to be done, “above clear_glass”; on truth it is")
+    ended = {"claimed": False, "outcome": "taken_over", "reason": "no safe control: " + "full speed " * 20}
+    told = caption(row(**done | ended), None)
+    assert told.startswith("The local layer ended it: no safe control: full speed")
+    assert re.search(r"(full|speed) … \(t, seed 7\)$", told)
+    assert cut("one two three", 7) == "one two …"
+    assert cut("one two three", 13) == "one two three"
+
+
+def test_a_report_tells_where_it_comes_from_and_lacks_what_older_runs_did_not_write(suite, tmp_path):
+    known = {
+        "origin": {"code": "abc", "machine": "Linux x86_64", "numpy": "2.4.6", "torch": "2.13"},
+        "host": {"processor": "Sparrow 3", "cores": "2", "memory": "3.8 GiB", "revision": "deadbeef-dirty"},
+    }
+    rows = [row("M", epsilon=0.00207), row("M-half", epsilon=0.001), row("Full", epsilon=0.00207), row("B3")]
+    told = Told(rows, suite, known, command="again")
+    found = facts(told)
+    assert found["machine"] == "Linux x86_64, Sparrow 3, 3.8 GiB, 2 cores"
+    assert found["packages"] == "numpy 2.4.6, torch 2.13"
+    assert found["ε"] == "0.00207 on panda (M, Full); 0.001 on panda (M-half)"
+    write_page(tmp_path, told)
+    for page in (render_evaluation(told), (tmp_path / "report.md").read_text().replace("\\", "")):
+        for part in ("deadbeef-dirty", "Sparrow 3", "torch 2.13", "0.00207 on panda"):
+            assert part in page
+    older = facts(Told([row("B3")], suite, {}))
+    assert (older["revision"], older["machine"], older["packages"]) == ("not recorded",) * 3
+    assert "ε" not in older
+
+
+def test_no_two_methods_of_a_chart_look_alike_and_neighbours_differ_in_colour_and_dash():
+    looks = [look(k) for k in range(len(MARKERS))]
+    assert all(a != b for k, a in enumerate(looks) for b in looks[k + 1 :])
+    pairs = list(pairwise(looks))
+    assert all(a["color"] != b["color"] and a["linestyle"] != b["linestyle"] for a, b in pairs)
+    chart = curves([row(name, seed=1) for name in open_suite("ablations").methods])
+    assert len(set(re.findall(r"var\(--([a-z]+)\)", chart))) >= len(COLOURS)
+
+
+def test_methods_that_came_out_alike_are_one_line_and_each_violation_is_marked():
+    same, hurt = row("B1"), row("M", violations=(COLLISION, MOVED))
+    here = {"B1": same, "B2": row("B2"), "B3": row("B3", trace_h=[0.02, 0.005]), "M": hurt}
+    assert together(here, ("B1", "B2", "G", "B3", "M")) == [["B1", "B2"], ["B3"], ["M"]]
+    chart = traces(list(here.values()))
+    assert ">B1 = B2<" in chart
+    assert chart.count(">time [s]<") == 2  # under each panel
+    marks = re.findall(r'<use [^>]*xlink:href="#(m[0-9a-f]+)"', chart)
+    without = re.findall(r'<use [^>]*xlink:href="#(m[0-9a-f]+)"', traces([*here.values()][:3]))
+    assert len(marks) >= len(without) + 2
+    assert "no traces in this table" in traces([row("B1", trace_t=[], trace_h=[], trace_delta=[])])
+
+
+def test_axes_of_latencies_say_what_they_show(rows):
+    chart = latencies(rows, [0.5, 2.0])
+    for words in ("share of measurements below", "time [s]", "time [ms]", "time [µs]"):
+        assert f">{words}<" in chart
+
+
 def test_a_family_is_told_as_a_whole_and_level_by_level():
     two = [row("B3", run, seed=run, task=f"edge_rescue {level}", success=level == "I")
            for level in ("I", "II") for run in range(3)]  # fmt: skip
@@ -143,6 +268,25 @@ def test_failures_add_up(rows):
     assert lines["frequent takeover"] == lines["all failures"] == ("2", "0", "0")
 
 
+def test_failures_are_told_by_the_rule_of_today_whatever_their_rows_say(rows):
+    before = [msgspec.structs.replace(one, failure="actuator") if one.failure else one for one in rows]
+    assert failures(before) == failures(rows)
+    assert [one.key for one in chosen(before, 9)] == [one.key for one in chosen(rows, 9)]
+
+
+def test_shares_of_the_wall_time_are_shares_and_one_flight_that_stood_still_moves_no_throughput():
+    """Parts overlapped in tables of before, and the whole was too short."""
+    wall = {"physics": 3.0, "monitor": 1.0, "filter": 0.5, "planner": 1.5, "rest": 0.0}
+    flights = [row("B3", seed=seed, wall_s=2.0, wall=wall, simulated_s=12.0) for seed in range(9)]
+    (told,) = throughput(flights).rows
+    assert told[1:3] == ("600", "2.00")
+    assert sum(float(share.removesuffix(" %")) for share in told[3:]) == pytest.approx(100.0, abs=0.2)
+    stalled = row("B3", seed=9, wall_s=925.0, wall=wall | {"physics": 922.0}, simulated_s=12.0)
+    assert throughput([*flights, stalled]).rows[0][1:3] == ("600", "2.00")
+    assert float(throughput([*flights, stalled]).rows[0][3].removesuffix(" %")) < 56.0  # a tenth of the flights
+    assert "median" in throughput(flights).note
+
+
 def test_what_was_not_measured_is_said(rows, suite):
     said = " ".join(missing(rows, suite))
     for part in ("on one", "Full (", "H2", "retrieval utility", "language model", "hazardous", "100 episodes"):
@@ -154,21 +298,21 @@ def test_what_was_not_measured_is_said(rows, suite):
 
 def test_the_gallery_shows_as_many_classes_and_methods_as_it_can():
     some = [
-        row(method, k, key=f"{method}{k}", failure=failure, success=False)
-        for k, (method, failure) in enumerate(
-            [("B1", "actuator"), ("B1", "actuator"), ("B1", "perception"), ("B3", "frequent takeover")]
+        row(method, k, key=f"{method}{k}", **ASTRAY | values)
+        for k, (method, values) in enumerate(
+            [("B1", {}), *2 * [("B1", {"perceived_error": 1.0})], ("B1", {"frequency": 0.6})]
         )
     ]
-    assert {one.failure for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
-    assert chosen([*some, row("B2", key="idle", failure="invalid contract", trace_t=[])], 9) != []
-    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", failure="actuator", trace_t=[])], 9)]
+    assert {class_of(one) for one in chosen(some, 3)} == {"actuator", "perception", "frequent takeover"}
+    assert chosen([*some, row("B2", key="idle", **ASTRAY, trace_t=[])], 9) != []
+    assert "idle" not in [one.key for one in chosen([row("B2", key="idle", **ASTRAY, trace_t=[])], 9)]
 
 
 def test_the_gallery_shows_a_flight_once_and_other_scenes_before_the_same_again():
-    flown = row("B1", key="flown", failure="actuator", severity=0.9)
-    shared = row("B2", key="shared", failure="actuator", severity=0.9, same_as="flown")
-    again = row("G", repetition=1, key="again", failure="actuator", severity=0.8)
-    elsewhere = row("B1", seed=7, key="elsewhere", failure="actuator", severity=0.1)
+    flown = row("B1", key="flown", **ASTRAY, severity=0.9)
+    shared = row("B2", key="shared", **ASTRAY, severity=0.9, same_as="flown")
+    again = row("G", repetition=1, key="again", **ASTRAY, severity=0.8)
+    elsewhere = row("B1", seed=7, key="elsewhere", **ASTRAY, severity=0.1)
     assert [one.key for one in chosen([flown, shared, again, elsewhere], 9)] == ["flown", "elsewhere", "again"]
 
 
@@ -179,7 +323,15 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
     assert "<script" not in page
     assert "<b>template" not in page
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
-    for part in ("H1", "Methods and metrics", "Over repetitions", "Latency", "What was not measured", "&lt;img src=x"):
+    for part in (
+        "missed deadline",
+        "H1",
+        "Methods and metrics",
+        "Over repetitions",
+        "Latency",
+        "What was not measured",
+        "&lt;img src=x",
+    ):
         assert part in page
     assert page.count("<svg") == 3
 
@@ -195,6 +347,9 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
         "12 episodes, 2026-11-21, code abc, seeds 0 to 1 (2)",
         "Again: `again`",
         "not measured",
+        "none is a missed deadline",
+        "docs/kernel.md",
+        "## Where this comes from",
     ):
         assert part in page
     assert r"\<img src=x\> \[a\](b) \`c\`" in page

@@ -17,6 +17,7 @@ from dualbrain.evaluation import parts
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.effort import Effort, effort
+from dualbrain.evaluation.host import revision
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS, find_method
@@ -114,6 +115,19 @@ def test_ranges_of_seeds_are_disjoint(suite):
     assert {seed for unit in units_of(suite, "start") for seed in unit.seeds} <= set(START)
 
 
+def test_no_reported_suite_but_paper_flies_the_scenes_that_memory_was_mended_on():
+
+    def scenes(name):
+        suite = open_suite(name)
+        return set(range(suite.first, suite.first + suite.seeds))
+
+    others = set(shipped()) - {"paper", "first", "smoke"}  # these two decide nothing
+    assert others >= {"scenes", "cross", "ablations", "refusals", "attacks", "large", "eyes"}
+    for name in others:
+        assert not scenes("paper") & scenes(name), name
+        assert min(scenes(name)) >= 40_010
+
+
 def test_every_ledger_begins_with_random_valid_contracts_whoever_plans(suite):
     """A greedy planner says nearly the same every time: memory would have nothing to choose from."""
     planned = msgspec.structs.replace(suite, planners={"base": "base-135m"})
@@ -207,6 +221,32 @@ def test_results_of_another_suite_or_code_are_not_mixed(suite, tmp_path):
         runner(suite, tmp_path).prepare({"code": "bbb"})
     with pytest.raises(InvalidSetup, match=r"suite\.shots is 2, was 1"):
         runner(msgspec.structs.replace(suite, shots=2), tmp_path).prepare({"code": "aaa"})
+
+
+def test_a_run_may_go_on_on_another_machine_and_says_on_which(suite, tmp_path, monkeypatch):
+    runner(suite, tmp_path).prepare({"code": "aaa"})
+    told = msgspec.json.decode((tmp_path / "config.json").read_bytes())["host"]
+    assert set(told) == {"processor", "cores", "memory", "revision"}
+    assert all(told.values())
+    monkeypatch.setattr("dualbrain.evaluation.runner.host", lambda: {"processor": "another"})
+    runner(suite, tmp_path).prepare({"code": "aaa"})
+    assert msgspec.json.decode((tmp_path / "config.json").read_bytes())["host"] == {"processor": "another"}
+
+
+def test_the_revision_is_that_of_a_checkout_that_holds_the_code(tmp_path):
+    package, installed = tmp_path / "package", tmp_path / "site"
+    for folder in (package, installed):
+        folder.mkdir()
+        (folder / "__init__.py").write_text("")
+    assert revision(package) == "no checkout"
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=n", "-c", "user.email=e"]
+    for words in (["init", "-q"], ["add", "package"], ["commit", "-qm", "one"]):
+        subprocess.run([*git, *words], check=True)
+    head = subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True).stdout
+    assert revision(package) == head[:12]
+    (package / "__init__.py").write_text("changed")
+    assert revision(package) == f"{head[:12]}-dirty"
+    assert revision(installed) == "no checkout"  # it only lies there
 
 
 def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suite, tmp_path):

@@ -12,6 +12,7 @@ from dualbrain.dashboard.evaluation_report import Shot
 from dualbrain.evaluation.again import Watching, again
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.words import caption
 from dualbrain.runtime.control_tick import Moment
 from dualbrain.world.pictures import Camera
 
@@ -29,8 +30,7 @@ def photograph(row: Row, suite: Suite, clock: Callable[[], float]) -> Shot:
 
     flight = again(row, suite, clock, Watching(plants.append, moment, visuals=True))
     picture = taken[0] if taken else _snap(flight.plant)
-    words = f"{worst.kind} {' × '.join(worst.bodies)} at {worst.start:.1f} s" if worst and taken else row.reason
-    return Shot(row, f"{words[:90]} ({row.task}, seed {row.seed})", picture)
+    return Shot(row, caption(row, worst if taken else None), picture)
 
 
 def _snap(plant: Any) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dualbrain.dashboard.page import Html
-from dualbrain.dashboard.plots import BLUE, GREEN, INK, MUTED, ORANGE, RED, SKY, STYLE, themed
+from dualbrain.dashboard.plots import BLUE, GREEN, INK, MUTED, ORANGE, RED, SKY, STYLE, VIOLET, themed
 from dualbrain.evaluation.grids import by_cluster, methods_of
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.row import Row
@@ -20,9 +20,11 @@ from dualbrain.runtime.trace import DEAD_BAND
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = (BLUE, ORANGE, GREEN, RED, SKY, MUTED, INK)
+COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, INK, SKY, MUTED)
 DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
 MARKERS = "osD^vP<X>"
+TOP = 60.0
+"""Clearances are drawn up to this one [mm]."""
 DODGED = 0.6
 """Width over which the methods stand beside each other, as a share of the distance between repetitions."""
 CURVES = ("success", "violation rate", "Δ of successes", "intervention frequency")
@@ -45,8 +47,8 @@ def panels(methods: Sequence[str]) -> list[list[str]]:
 
 
 def look(index: int) -> dict[str, Any]:
-    """Colour and dash of the method number `index`: no two alike."""
-    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index // len(COLOURS) % len(DASHES)]}
+    """Colour and dash of the method number `index`: no two pairs alike, and neighbours differ in both."""
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
 
 
 @contextmanager
@@ -97,7 +99,7 @@ def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, 
         return
     x = np.array([k for k, _ in known], float) + 1.0 + dodge
     means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
-    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=3.4, **look(index))
+    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=4.2, **look(index))
     fine = np.isfinite(low) & np.isfinite(high)
     axes.vlines(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.45, linewidth=0.9)
 
@@ -109,30 +111,51 @@ def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
 
 
 def traces(rows: Sequence[Row]) -> Html:
-    """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0."""
+    """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0.
+
+    Methods that came out alike are one line; × marks where a violation begins.
+    """
     pair = traced_pair(rows)
     here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
     groups = panels(methods_of(rows))
-    with _canvas(2, 1, 4.6, len(groups)) as (figures, out):
+    with _canvas(2, 1, 4.9, len(groups)) as (figures, out):
         for methods, (figure, axes) in zip(groups, figures, strict=True):
-            _trace(axes.flat, here, methods)
-            _legend(figure, [method for method in methods if method in here], methods)
+            figure.subplots_adjust(top=0.87)
+            alike = together(here, methods)
+            _trace(axes.flat, here, alike)
+            _legend(figure, [" = ".join(names) for names in alike])
     return themed(out.getvalue(), f"h_min and δ over time, {pair}")
 
 
-def _trace(axes: Iterable[Axes], here: Mapping[str, Row], methods: Sequence[str]) -> None:
+def together(here: Mapping[str, Row], methods: Sequence[str]) -> list[list[str]]:
+    """Those of `methods` that flew `here`, in groups that drew the same curves and did the same harm."""
+    found: dict[Any, list[str]] = {}
+    for name in methods:
+        if name in here:
+            row = here[name]
+            seen = (*row.trace_t, *row.trace_h, *row.trace_delta, row.violations)
+            found.setdefault(seen, []).append(name)
+    return list(found.values())
+
+
+def _trace(axes: Iterable[Axes], here: Mapping[str, Row], alike: Sequence[Sequence[str]]) -> None:
     above, below = axes
     _title(above, "Clearance h_min", "mm, least in each tenth of a second")
     _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
-    for index, method in enumerate(methods):
-        if method in here:
-            t, h = np.array(here[method].trace_t), 1e3 * np.array(here[method].trace_h)
-            above.plot(t, np.minimum(h, 60.0), linewidth=1.2, **look(index))
-            below.plot(t, here[method].trace_delta, linewidth=1.2, **look(index))
+    for index, names in enumerate(alike):
+        row, style = here[names[0]], look(index)
+        t, h = np.array(row.trace_t), np.minimum(1e3 * np.array(row.trace_h), TOP)
+        above.plot(t, h, linewidth=1.2, **style)
+        below.plot(t, row.trace_delta, linewidth=1.2, **style)
+        begun = [violation.start for violation in row.violations]
+        above.plot(begun, np.interp(begun, t, h), linestyle="none", marker="x", markersize=6, color=style["color"])
+    if not alike:
+        above.text(0.5, 0.5, "no traces in this table", transform=above.transAxes, ha="center", color=MUTED)
     above.axhline(0, color=INK, linewidth=1.0)
     below.set_ylim(0, None)
     below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
-    below.set_xlabel("time [s]", loc="right", labelpad=1)
+    for one in (above, below):
+        one.set_xlabel("time [s]", loc="right", labelpad=1)
 
 
 def traced_pair(rows: Sequence[Row]) -> str:
@@ -150,20 +173,21 @@ def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
     """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
     gate = [1e3 * row.gate_s for row in rows if row.shots]
     steps = [row.filter_us for row in rows if row.filter_us]
-    with _canvas(1, 3, 2.6) as (((figure, axes),), out):
-        figure.subplots_adjust(top=0.80, bottom=0.20)
-        _spread(axes[0, 0], "Decision", "s, as asked", {"planner": asked})
-        _spread(axes[0, 1], "Gate", "ms, all shots", {"gate": gate})
+    with _canvas(1, 3, 2.8) as (((figure, axes),), out):
+        figure.subplots_adjust(top=0.82, bottom=0.23, right=0.97)
+        _spread(axes[0, 0], "Decision", "as asked", "s", {"planner": asked})
+        _spread(axes[0, 1], "Gate", "all shots", "ms", {"gate": gate})
         parts = {name: [one[k] for one in steps] for k, name in enumerate(("median", "p99", "worst"))}
-        _spread(axes[0, 2], "Filter step", "µs, of each episode", parts)
+        _spread(axes[0, 2], "Filter step", "of each episode", "µs", parts)
+        axes[0, 0].set_ylabel("share of measurements below", fontsize=8)
     return themed(out.getvalue(), "latency distributions")
 
 
-def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
-    """Cumulative shares on a logarithmic axis."""
+def _spread(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
+    """Cumulative shares on a logarithmic axis in `unit`."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415
 
-    _title(axes, title, unit)
+    _title(axes, title, says)
     drawn = False
     for index, (name, values) in enumerate(parts.items()):
         known = np.sort([value for value in values if value > 0.0])
@@ -174,6 +198,7 @@ def _spread(axes: Axes, title: str, unit: str, parts: Mapping[str, Sequence[floa
         axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=MUTED)
         axes.set_xticks([])
         return
+    axes.set_xlabel(f"time [{unit}]", loc="right", labelpad=1)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
@@ -190,14 +215,10 @@ def _title(axes: Axes, title: str, unit: str) -> None:
     axes.grid(axis="y")
 
 
-def _legend(figure: Any, shown: Sequence[str], methods: Sequence[str] = (), *, marked: bool = False) -> None:
+def _legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
+    """Names above a figure, in the order of their looks."""
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
-    order = list(methods or shown)
-    numbers = [order.index(name) for name in shown]
-    marks = [MARKERS[one % len(MARKERS)] if marked else "" for one in numbers]
-    lines = [
-        Line2D([], [], linewidth=1.6, marker=mark, markersize=4, **look(one))
-        for one, mark in zip(numbers, marks, strict=True)
-    ]
-    figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5)
+    marks = [MARKERS[k % len(MARKERS)] if marked else "" for k in range(len(shown))]
+    lines = [Line2D([], [], linewidth=1.6, marker=mark, markersize=4.2, **look(k)) for k, mark in enumerate(marks)]
+    figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5, handlelength=2.6)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dualbrain.dashboard.evaluation_charts import traced_pair
-from dualbrain.dashboard.evaluation_report import UNSAFE, Shot, Told, jpeg
+from dualbrain.dashboard.evaluation_report import LATENCY, Shot, Told, facts, jpeg, traced
 from dualbrain.dashboard.page import Html, palette
 from dualbrain.evaluation.markdown import page
+from dualbrain.evaluation.words import headline
 
 PAGE = "report.md"
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
@@ -22,16 +22,17 @@ def write_page(folder: Path, told: Told) -> None:
     lines = ["## Pictures", ""]
     for name, title, chart in (
         ("curves", "Over repetitions: mean with its 95 % interval", told.curves),
-        ("traces", f"One place: {traced_pair(told.rows)}", told.traces),
-        ("latencies", "Share of measurements below", told.latencies),
+        ("traces", f"One place: {traced(told)}", told.traces),
+        ("latencies", f"Latency: {LATENCY}", told.latencies),
     ):
         folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")
-        lines += [f"{literal(title)}", "", f"![{literal(title)}]({name}.svg)", ""]
+        lines += [f"{literal(title)}", "", f"![{name}]({name}.svg)", ""]
     for number, shot in enumerate(told.gallery, start=1):
         name = f"failure_{number}.jpg"
         folder.joinpath(name).write_bytes(jpeg(shot.rgb))
         lines += [f"![{number}]({name})", "", *_caption(shot), ""]
     lines += ["## What was not measured", "", *(f"- {line}" for line in told.missing), ""]
+    lines += ["## Where this comes from", "", *(f"- {name}: {literal(fact)}" for name, fact in facts(told).items()), ""]
     whole = page(f"Evaluation {told.suite.name}", about(told), told.grids)
     folder.joinpath(PAGE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
 
@@ -60,5 +61,7 @@ def literal(text: str) -> str:
 
 
 def _caption(shot: Shot) -> list[str]:
-    what = shot.row.failure or UNSAFE
-    return [f"{literal(shot.row.method)}: {literal(what)}. {literal(shot.caption)}  ", f"`{shot.row.key}`"]
+    return [
+        f"{literal(shot.row.method)}: {literal(headline(shot.row))}. {literal(shot.caption)}  ",
+        f"`{shot.row.key}`",
+    ]

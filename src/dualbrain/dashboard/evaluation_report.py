@@ -18,17 +18,25 @@ from dualbrain.dashboard.evaluation_charts import curves, latencies, traced_pair
 from dualbrain.dashboard.page import Html, badge, document, element, join, section, table
 from dualbrain.evaluation.cost import adapters_of
 from dualbrain.evaluation.decisions import latencies_of
-from dualbrain.evaluation.grids import Grid
+from dualbrain.evaluation.grids import WALL_TIME, Grid
 from dualbrain.evaluation.hypotheses import Answer, answers
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.plans import Kept
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.suite import Suite
+from dualbrain.evaluation.words import headline
 
 TONES = {"supported": "good", "refuted": "bad", "undecided": "warn", "not measured": "quiet"}
 WIDTH = 480
-UNSAFE = "succeeded, unsafe"
+LATENCY = (
+    f"share of measurements below; kept answers are not counted; gate and filter: {WALL_TIME}, so that the longest are "
+    "the turns that others had on it; nobody waits in a simulation, and none is a missed deadline. What a step of the "
+    "kernel takes of the processor at most: docs/kernel.md"
+)
+OWN = ("dualbrain", "code", "kernel", "prompt", "short prompt", "python")
+"""Parts of an origin that are told one by one; the others are packages."""
+UNNAMED = "not recorded"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +109,9 @@ def render_evaluation(told: Told) -> str:
         _grid(rest[0]),
         _card("Over repetitions", told.curves, "mean with its 95 % interval; a scene is repeated in its run"),
         *map(_grid, rest[1:4]),
-        _card("One place", told.traces, traced_pair(told.rows)),
+        _card("One place", told.traces, traced(told)),
         _gallery(told.gallery),
-        _card("Latency", told.latencies, "share of measurements below; kept answers are not counted"),
+        _card("Latency", told.latencies, LATENCY),
         *map(_grid, rest[4:]),
         section("What was not measured", element("ul", *(element("li", line) for line in told.missing))),
         _origin(told),
@@ -141,11 +149,13 @@ def _gallery(shots: Sequence[Shot]) -> Html:
         return Html("")
     figures = (_figure(shot) for shot in shots)
     note = "fly one again: dualbrain evaluate --out DIR --again KEY"
-    return section("Failures and unsafe successes", element("div", *figures, class_="shots three"), note=note)
+    return section(
+        "Failures, and successes with a violation", element("div", *figures, class_="shots three"), note=note
+    )
 
 
 def _figure(shot: Shot) -> Html:
-    words = join((element("b", f"{shot.row.method}: {shot.row.failure or UNSAFE}"), shot.caption, element("br"),
+    words = join((element("b", f"{shot.row.method}: {headline(shot.row)}"), shot.caption, element("br"),
                   element("code", shot.row.key)))  # fmt: skip
     picture = "data:image/jpeg;base64," + base64.b64encode(jpeg(shot.rgb)).decode()
     return element("figure", element("img", src=picture, alt=shot.caption), element("figcaption", words))
@@ -161,12 +171,35 @@ def jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return data.getvalue()
 
 
+def traced(told: Told) -> str:
+    """Which place the traces are of, and how to read them."""
+    return f"{traced_pair(told.rows)}; methods that did the same share a line; × : a violation begins, on truth"
+
+
+def facts(told: Told) -> dict[str, str]:
+    """Where the results come from: code, machine, versions, planners, ε; a run may lack some of these."""
+    origin = {name: str(value) for name, value in told.config.get("origin", {}).items()}
+    host = {name: str(value) for name, value in told.config.get("host", {}).items()}
+    here = [origin.pop("machine", ""), *(host.get(name, "") for name in ("processor", "memory"))]
+    if "cores" in host:
+        here.append(f"{host['cores']} cores")
+    found = {"revision": host.get("revision", UNNAMED)}
+    found |= {name: origin.pop(name) for name in OWN if name in origin}
+    found |= {"machine": ", ".join(part for part in here if part) or UNNAMED}
+    found |= {"packages": ", ".join(f"{name} {version}" for name, version in origin.items()) or UNNAMED}
+    found |= {"planners": ", ".join(f"{part}: {name}" for part, name in told.suite.planners.items())}
+    limits: dict[str, dict[str, None]] = {}
+    for row in told.rows:
+        if row.epsilon is not None:
+            limits.setdefault(f"{row.epsilon:.3g} on {row.robot}", {})[row.method] = None
+    if limits:
+        found["ε"] = "; ".join(f"{limit} ({', '.join(methods)})" for limit, methods in limits.items())
+    return found | ({"again": told.command} if told.command else {})
+
+
 def _origin(told: Told) -> Html:
-    facts = {name: str(value) for name, value in told.config.get("origin", {}).items()}
-    facts |= {"planners": ", ".join(f"{part}: {name}" for part, name in told.suite.planners.items())}
-    if told.command:
-        facts["again"] = told.command
-    listed = element("dl", *(join((element("dt", k), element("dd", element("code", v)))) for k, v in facts.items()))
+    known = facts(told).items()
+    listed = element("dl", *(join((element("dt", name), element("dd", element("code", one)))) for name, one in known))
     whole = msgspec.json.format(msgspec.json.encode(told.config), indent=2).decode()
     details = element("details", element("summary", "The whole configuration"), element("pre", whole))
     remark = "Simulation only. What is said of safety holds for the model the filter was given (SAFETY.md)."

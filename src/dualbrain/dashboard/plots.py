@@ -30,10 +30,10 @@ CHART_WIDTH = 10.4 * 72 * 0.93
 STAND_INS = {
     name: f"#0101{k + 1:02x}"
     for k, name in enumerate(
-        ("ink", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card")
+        ("ink", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
     )
 }
-INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD = STAND_INS.values()
+INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = STAND_INS.values()
 
 STATUS_COLOURS: Mapping[str, str] = {
     "done": BLUE,

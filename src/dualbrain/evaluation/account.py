@@ -13,8 +13,8 @@ from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
 from dualbrain.evaluation.case import Case
 from dualbrain.evaluation.door import MethodDoor
-from dualbrain.evaluation.failure import Stages, failure_class
-from dualbrain.evaluation.flight import ASIDE, OUT_OF_TIME, PARTS, Flight
+from dualbrain.evaluation.failure import OUT_OF_TIME, class_of
+from dualbrain.evaluation.flight import PARTS, Flight
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.plans import is_accident
 from dualbrain.evaluation.row import Row
@@ -59,12 +59,7 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
     strict, told = _strict(episode, flight.door), [attempt.verdict for attempt in episode.attempts]
     split, below = flight.stopwatch.split(), _below(trace)
     first = episode.attempts[0].proposal if episode.attempts else None
-    stages = Stages(
-        moved, meant, outcome.kind == "declined", outcome.kind, outcome.kind == "succeeded", frequency or 0.0,
-        _progress(episode), violations, error, bound, unreadable=_unreadable(episode),
-        out_of_time=outcome.reason.startswith(OUT_OF_TIME),
-    )  # fmt: skip
-    return Row(
+    row = Row(
         key=place.key, pair=case.pair, cluster=_cluster(case, place), suite=place.suite, method=method.name,
         robot=case.robot, task=case.task.name,
         family=case.task.family, level=case.task.level, seed=case.seed, repetition=case.repetition, order=place.order,
@@ -81,20 +76,21 @@ def account(case: Case, method: Method, flight: Flight, place: Place) -> Row:
         **_free(case, flight.door, first, strict),
         outcome=outcome.kind, reason=outcome.reason, claimed=outcome.kind == "succeeded", success=success,
         progress=_progress(episode), second_opinion=episode.second_opinion,
-        failure="" if success else failure_class(stages), perceived_error=error, perceived_bound=bound,
+        failure="", perceived_error=error, perceived_bound=bound,
         guarded=method.guard, Delta=outcome.Delta if moved else None, **_shares(trace, moved=moved),
         delta_peak=outcome.delta_peak, frequency=frequency, h_min=outcome.h_min,
         recovery_s=max(below, default=0.0), below_s=sum(below),
         time_limit=case.time_limit, simulated_s=flight.plant.now, motion_s=outcome.duration,
         completion_s=flight.plant.now if success and moved else None, lost_s=place.lost_s,
         planner_s=episode.timings.get("planner", 0.0), gate_s=episode.timings.get("gate", 0.0),
-        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"] - split.get(ASIDE, 0.0),
-        wall={part: split.get(part, 0.0) for part in PARTS},
+        filter_us=flight.stopwatch.microseconds("filter"), wall_s=split["all"],
+        wall={part: split[part] for part in PARTS},
         violations=violations, severity=severity(violations),
         recalled=len(episode.recall.exemplars), uses_asked=len(episode.uses),
         used=sum(use.used for use in episode.uses), contributing=sum(use.contributing for use in episode.uses),
         memories=place.memories, ledger=place.ledger, epsilon=place.epsilon, **_curves(trace),
     )  # fmt: skip
+    return msgspec.structs.replace(row, failure=class_of(row))
 
 
 def _cluster(case: Case, place: Place) -> str:
@@ -153,11 +149,6 @@ def _meant(case: Case, episode: Episode) -> bool:
 def contract_of(episode: Episode) -> Contract:
     """The contract of an episode, as its door let it through."""
     return msgspec.convert(episode.contract, Contract)
-
-
-def _unreadable(episode: Episode) -> bool:
-    """Whether a skill could not make sense of values that the door let through."""
-    return episode.outcome.kind == "stopped" and ":" in episode.outcome.reason.partition(" ")[0]
 
 
 # --- the outcome ------------------------------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ The first rule that holds gives the class; the order is that of the stages:
    contract that the robot holds to be done and truth does not, though it harmed nothing;
 6. else `inadequate planning`: a contract that was about the goal, was carried out as written, and does not lead there
    (in time), or harms something on the way: by the force it asks for, or along the way it takes.
+
+A class is worked out from the row whenever it is told, so that one rule holds for flights of every date.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from dualbrain.evaluation.row import Row
 from dualbrain.records import Violation
 
 CLASSES = ("perception", "invalid contract", "inadequate planning", "frequent takeover", "actuator")
@@ -29,6 +32,8 @@ HARMS = {"force_fragile", "collision_env", "collision_human", "collision_held", 
 """Kinds of violations that a contract brings about by what it asks for."""
 GRASPED = 0.5
 """Progress from which on the thing was in the hand."""
+OUT_OF_TIME = "out of time"
+"""How the reason of an outcome begins that the time limit ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +52,30 @@ class Stages:
     perceived_bound: float | None
     unreadable: bool
     out_of_time: bool
+
+
+def class_of(row: Row) -> str:
+    """The class of an episode's failure, "" for a success; what `row.failure` says is not read."""
+    return "" if row.success else failure_class(stages_of(row))
+
+
+def stages_of(row: Row) -> Stages:
+    """What the stages of the episode of `row` logged.
+
+    A thing that was not perceived at all lies infinitely far from where it was perceived; JSON has no such number, so
+    that a bound without an error stands for it.
+    """
+    error = float("inf") if row.perceived_error is None and row.perceived_bound is not None else row.perceived_error
+    return Stages(
+        bool(row.contract) and not row.declined, row.meant, row.declined, row.outcome, row.claimed,
+        row.frequency or 0.0, row.progress, row.violations, error, row.perceived_bound, _unreadable(row),
+        row.reason.startswith(OUT_OF_TIME),
+    )  # fmt: skip
+
+
+def _unreadable(row: Row) -> bool:
+    """Whether a skill could not make sense of values that the door let through."""
+    return row.outcome == "stopped" and ":" in row.reason.partition(" ")[0]
 
 
 def failure_class(seen: Stages) -> str:

@@ -15,9 +15,10 @@ from dualbrain.contracts.gate import Gate
 from dualbrain.embodiment.body import Body, load_body
 from dualbrain.evaluation.case import Case
 from dualbrain.evaluation.door import MethodDoor
+from dualbrain.evaluation.failure import OUT_OF_TIME
 from dualbrain.evaluation.forgetful import Forgetful
 from dualbrain.evaluation.method import Method
-from dualbrain.evaluation.stopwatch import Stopwatch
+from dualbrain.evaluation.stopwatch import ASIDE, ASKED, HOLD, Stopwatch
 from dualbrain.evaluation.unheeded import UnheededFilter
 from dualbrain.memory.picture import Picture
 from dualbrain.planner.prompt import MAX_RECALLED
@@ -44,11 +45,7 @@ if TYPE_CHECKING:
     from dualbrain.world.depth_perception import DepthPerception
 
 Clock = Callable[[], float]
-OUT_OF_TIME = "out of time"
-"""How the reason of an outcome begins that the time limit ended."""
-PARTS = ("physics", "monitor", "filter", "planner", "rest")
-ASIDE = "aside"
-"""Wall time that belongs to no episode: the question that only measures."""
+PARTS = ("physics", "monitor", "filter", ASKED, "rest")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +115,7 @@ def fly(case: Case, method: Method, means: Means) -> Flight:
         phase_changed=world.allow, interrupted=lambda: plant.now >= case.time_limit,
     )  # fmt: skip
     layer.limit = case.time_limit
+    stopwatch.watch(layer, "hold", HOLD)
     doors: list[MethodDoor] = []
     seen: list[tuple[float, float]] = []
 
@@ -168,7 +166,7 @@ class _Watched:
 
     def __init__(self, planner: Planner, stopwatch: Stopwatch, aside: Callable[[PlanRequest], None]) -> None:
         self._planner, self._aside = planner, aside
-        self._propose = stopwatch.wrap(planner.propose, "planner")
+        self._propose = stopwatch.wrap(planner.propose, ASKED)
 
     def propose(self, request: PlanRequest) -> Proposal:
         """The planner's answer."""
@@ -187,7 +185,6 @@ def _measure(stopwatch: Stopwatch, plant: Plant, world: SimulatedWorld, safety: 
     stopwatch.watch(plant, "step", "physics")
     stopwatch.watch(world.monitor, "tick", "monitor")
     stopwatch.watch(safety, "filter", "filter", each=True)
-    stopwatch.spent.setdefault("planner", 0.0)
 
 
 def _perceived(case: Case, layer: LocalLayer, plant: Plant) -> list[tuple[float, float]]:

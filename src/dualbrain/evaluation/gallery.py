@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from dualbrain.evaluation.failure import CLASSES
+from dualbrain.evaluation.failure import CLASSES, class_of
 from dualbrain.evaluation.row import Row
 
 
@@ -14,7 +14,7 @@ def chosen(rows: Sequence[Row], count: int) -> list[Row]:
 
     Among equals the most severe come first. What several methods share is one flight.
     """
-    wrong = [row for row in rows if (row.failure or row.violations) and row.trace_t]
+    wrong = [row for row in rows if (class_of(row) or row.violations) and row.trace_t]
     flights = {row.same_as or row.key: row for row in reversed(wrong)}
     left = sorted(flights.values(), key=lambda row: -row.severity)
     found: list[Row] = []
@@ -28,7 +28,7 @@ def chosen(rows: Sequence[Row], count: int) -> list[Row]:
 def _seen_before(found: Sequence[Row], row: Row) -> tuple[int, ...]:
     """How often class, scene and method of `row` were found, and where its class stands."""
     return (
-        sum(one.failure == row.failure for one in found),
+        sum(class_of(one) == class_of(row) for one in found),
         sum((one.task, one.seed) == (row.task, row.seed) for one in found),
         sum(one.method == row.method for one in found),
         _place(row),
@@ -36,4 +36,5 @@ def _seen_before(found: Sequence[Row], row: Row) -> tuple[int, ...]:
 
 
 def _place(row: Row) -> int:
-    return CLASSES.index(row.failure) if row.failure else len(CLASSES)
+    found = class_of(row)
+    return CLASSES.index(found) if found else len(CLASSES)

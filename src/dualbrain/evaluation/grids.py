@@ -6,19 +6,27 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, isfinite, isnan
+from statistics import fmean, median
 
-from dualbrain.evaluation.failure import CLASSES
+from dualbrain.evaluation.failure import CLASSES, class_of
 from dualbrain.evaluation.hypotheses import Answer, Claim
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME, MAIN, Metric
 from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.severity import SAFETY
+from dualbrain.evaluation.severity import SAFETY, UNAUTHORISED
 from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
+from dualbrain.evaluation.words import KINDS
+from dualbrain.planner.asking import FREE_BY
 
 NONE = "–"
 PERCENT = ("rate", "share")
 KEY = ("violation rate", "success", "Δ of successes", "intervention frequency")
 """The metrics that are told family by family."""
+WALL = ("physics", "monitor", "filter", "planner", "rest")
+"""Parts of an episode's wall time."""
+ROUNDING = 1e-12
+"""What is left of sums that cancel out is nothing."""
+WALL_TIME = "wall time of a process that shares its processor"
 MOST_COLUMNS = 11
 """Beside the names of the rows: as many as the table of hypotheses has."""
 
@@ -73,6 +81,7 @@ def number(value: float, unit: str = "") -> str:
         return NONE
     if not isfinite(value):
         return "∞" if value > 0 else "−∞"
+    value = 0.0 if abs(value) < ROUNDING else value
     text = f"{100.0 * value:.1f} %" if unit in PERCENT else f"{value:.3g}"
     return text.replace("-", "−")
 
@@ -97,7 +106,10 @@ def overview(rows: Sequence[Row]) -> Grid:
         unit = BY_NAME[name].unit
         label = name if unit in (*PERCENT, "1") else f"{name} [{unit}]"
         lines.append((label, *(cell(measured(rows, method, name), unit) for method in methods)))
-    note = "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure"
+    note = (
+        "mean ± standard deviation [95 % interval over clusters, none from a single one]; – : nothing to measure; "
+        f"gate time and filter step are {WALL_TIME}"
+    )
     return Grid("Methods and metrics", ("metric", *methods), tuple(lines), note)
 
 
@@ -105,12 +117,29 @@ def violations(rows: Sequence[Row]) -> Grid:
     """The violation rate by kind."""
     methods = methods_of(rows)
     others = sorted({v.kind for row in rows for v in row.violations} - set(SAFETY))
-    lines = [(kind, *(cell(measured(rows, method, kind), "rate") for method in methods)) for kind in SAFETY]
+    lines = [(KINDS[kind], *_shares_of(rows, methods, kind)) for kind in SAFETY]
     for kind in others:
         told = [[row for row in rows if row.method == method] for method in methods]
         shares = [sum(any(v.kind == kind for v in row.violations) for row in some) / len(some) for some in told]
-        lines.append((f"{kind} (beside the rate)", *(number(share, "share") for share in shares)))
-    return Grid("Violations by kind", ("episodes with", *methods), tuple(lines), "on simulator truth, by the monitor")
+        lines.append((f"{KINDS.get(kind, kind)} (beside the rate)", *(number(share, "share") for share in shares)))
+    note = "on simulator truth, by the monitor"
+    if any(NONE in line for line in lines):
+        note += f"; {NONE} : a grammar bound every answer, so that no skill could be called that nobody holds"
+    return Grid("Violations by kind", ("episodes with", *methods), tuple(lines), note)
+
+
+def _shares_of(rows: Sequence[Row], methods: Sequence[str], kind: str) -> list[str]:
+    """The share of episodes with a violation of `kind`; a dash where none could be."""
+    return [
+        NONE if kind == UNAUTHORISED and _bound(rows, method) else cell(measured(rows, method, kind), "rate")
+        for method in methods
+    ]
+
+
+def _bound(rows: Sequence[Row], method: str) -> bool:
+    """Whether every answer that `method` got was bound by a grammar while it was written."""
+    by = [row.constrained_by for row in rows if row.method == method]
+    return all(one and not one.startswith(FREE_BY) for one in by)
 
 
 def families(rows: Sequence[Row]) -> Grid:
@@ -135,9 +164,9 @@ def _cells(rows: Sequence[Row], methods: Sequence[str], name: str) -> list[str]:
 def failures(rows: Sequence[Row]) -> Grid:
     """How many episodes failed, by class."""
     methods = methods_of(rows)
-    counts = {name: Counter(row.failure for row in rows if row.method == name and row.failure) for name in methods}
+    counts = {name: Counter(class_of(row) for row in rows if row.method == name) for name in methods}
     lines = [(one, *(str(counts[name][one]) for name in methods)) for one in CLASSES]
-    lines.append(("all failures", *(str(sum(counts[name].values())) for name in methods)))
+    lines.append(("all failures", *(str(sum(counts[name][one] for one in CLASSES)) for name in methods)))
     return Grid("Failures by class", ("class", *methods), tuple(lines), "by the first stage that failed")
 
 
@@ -172,32 +201,24 @@ def _claim(claim: Claim) -> tuple[str, ...]:
 
 
 def throughput(rows: Sequence[Row]) -> Grid:
-    """Wall time by part, and episodes an hour and core."""
+    """Wall time by part, and episodes an hour and core; an episode that stood still with its machine moves no median.
+
+    In tables of before 2026-11-24 parts overlap, and what was asked aside was subtracted whole: there an episode takes
+    at least as long as its parts.
+    """
     lines: list[tuple[str, ...]] = []
     own = [row for row in rows if not row.same_as]
     for name in methods_of(own):
         here = [row for row in own if row.method == name]
-        wall = sum(row.wall_s for row in here)
-        parts = Counter[str]()
-        for row in here:
-            parts.update(row.wall)
-        shares = (number(parts[part] / wall, "share") for part in ("physics", "monitor", "filter", "planner", "rest"))
-        simulated = sum(row.simulated_s for row in here)
-        lines.append((name, f"{3600.0 * len(here) / wall:.0f}", f"{simulated / wall:.2f}", *shares))
-    head = (
-        "method",
-        "episodes an hour and core",
-        "simulated s per s",
-        "physics",
-        "monitor",
-        "filter",
-        "planner",
-        "rest",
-    )
+        walls = [max(row.wall_s, sum(row.wall.values())) for row in here]
+        shares = (fmean(row.wall.get(part, 0.0) / wall for row, wall in zip(here, walls, strict=True)) for part in WALL)
+        pace = median(row.simulated_s / wall for row, wall in zip(here, walls, strict=True))
+        lines.append((name, f"{3600.0 / median(walls):.0f}", f"{pace:.2f}", *(number(one, "share") for one in shares)))
+    head = ("method", "episodes an hour and core", "simulated s per s", *WALL)
     return Grid(
         "Throughput",
         head,
         tuple(lines),
-        "wall time on the machine that flew, whatever else ran there; what was alike in every input was flown "
-        "once, and what was asked beforehand stands under decisions",
+        "by the median episode, shares as means over episodes; wall time on the machine that flew, whatever else ran "
+        "there; what was alike in every input was flown once, and what was asked beforehand stands under decisions",
     )

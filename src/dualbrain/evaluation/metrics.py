@@ -33,6 +33,7 @@ class Metric:
 
 
 def _moved(row: Row) -> bool:
+    """Whether the contract ran for at least one tick: a mean over none is none."""
     return row.Delta is not None
 
 
@@ -76,7 +77,7 @@ METRICS = (
            lambda row: _guarded(row, row.frequency if row.meant else None), -1, 5),
     Metric("decision time", "s", "planner's time of the episodes in which it was really asked",
            lambda row: row.planner_s if row.asked else None, -1, 6),
-    Metric("gate time", "s", "time of the gate, all shots", lambda row: row.gate_s, -1, 6),
+    Metric("gate time", "ms", "time of the gate, all shots", lambda row: 1e3 * row.gate_s, -1, 6),
     Metric("filter step", "µs", "median time of one filter step",
            lambda row: row.filter_us[0] if row.filter_us else None, -1, 6),
     Metric("retrieval utility", "share", "of the memories in a prompt, those that were used and contributed",

@@ -13,8 +13,8 @@ from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.safety.native import kernel_hash
 
 TELLS = (
-    "changes", "contrasts", "decisions", "gallery", "grids", "hypotheses", "markdown", "missing", "report_tables",
-    "statistics",
+    "changes", "contrasts", "decisions", "gallery", "grids", "host", "hypotheses", "markdown", "missing",
+    "report_tables", "statistics", "words",
 )  # fmt: skip
 """Modules of the evaluation that only tell what was found, as `cli` and `dashboard` do; they change no episode."""
 PACKAGES = (

@@ -65,7 +65,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     progress: float
     second_opinion: str
     failure: str
-    """Class of the failure, "" for a success."""
+    """Class of the failure by the rule of the day it was flown, "" for a success; what is told is `class_of`."""
     perceived_error: float | None
     """Distance of the goal's thing from where it was perceived when the contract was accepted [m]."""
     perceived_bound: float | None
@@ -97,8 +97,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     filter_us: list[float]
     """Of one filter step: median, 99th percentile and maximum [µs] on the machine that ran it."""
     wall_s: float
+    """Wall time of the episode, less what a question that was asked aside added to it."""
     wall: dict[str, float]
-    """Wall time by part: physics, monitor, filter, planner, rest."""
+    """Wall time by part: physics, monitor, filter, planner (what was waited for it alone), rest."""
     same_as: str = ""
     """Key of the episode that was really flown, where another method's was alike in every input; "" for its own."""
 

@@ -18,6 +18,7 @@ from dualbrain.adaptation.durable import write_durably
 from dualbrain.errors import InvalidSetup
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Crew
+from dualbrain.evaluation.host import host
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.row import Row
@@ -26,6 +27,8 @@ from dualbrain.evaluation.unit import Stage, Unit, units_of
 from dualbrain.runtime.trace import DEAD_BAND
 
 CONFIG, EPSILON, ERRORS = "config.json", "epsilon.json", "errors"
+HOST = "host"
+"""Part of the configuration that only tells where the last start was; it may be another."""
 GROWING = ("methods", "planners", "adapters")
 """Parts of the configuration to which something may be added while what is there stays as it is."""
 MOST_TOLD = 60
@@ -67,8 +70,8 @@ class Runner:
         return config
 
     def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
-        """Write the resolved config, if the folder may be gone on with (see `check`)."""
-        config = self.check(origin, adapters)
+        """Write the resolved config, and on what machine, if the folder may be gone on with (see `check`)."""
+        config = self.check(origin, adapters) | {HOST: host()}
         self.out.mkdir(parents=True, exist_ok=True)
         write_durably(self.out / CONFIG, msgspec.json.format(msgspec.json.encode(config), indent=2))
 

@@ -1,4 +1,7 @@
-"""Where the wall time of an episode goes: physics, monitor, filter, planner, rest."""
+"""Where the wall time of an episode goes: physics, monitor, filter, planner, rest.
+
+The planner thinks on a thread of its own while the arm holds still and physics goes on. What overlaps is counted once.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,9 @@ import numpy as np
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+ASKED, ASIDE, HOLD = "planner", "aside", "hold"
+"""Times that overlap with others: a question, the one that only measures before it, and the arm's hold meanwhile."""
 
 
 class Stopwatch:
@@ -26,10 +32,12 @@ class Stopwatch:
         setattr(owner, method, self.wrap(getattr(owner, method), part, each=each))
 
     def wrap(self, do: Callable[P, T], part: str, *, each: bool = False) -> Callable[P, T]:
-        """`do`, measured as `part`."""
+        """`do`, measured as `part`; of what overlaps with other parts the single times alone are kept."""
         clock, spent = self._clock, self.spent
-        spent.setdefault(part, 0.0)
-        single = self.single.setdefault(part, []) if each else None
+        apart = part in (ASKED, ASIDE, HOLD)
+        if not apart:
+            spent.setdefault(part, 0.0)
+        single = self.single.setdefault(part, []) if each or apart else None
 
         def timed(*args: P.args, **kwargs: P.kwargs) -> T:
             begun = clock()
@@ -37,16 +45,22 @@ class Stopwatch:
                 return do(*args, **kwargs)
             finally:
                 took = clock() - begun
-                spent[part] += took
+                if not apart:
+                    spent[part] += took
                 if single is not None:
                     single.append(took)
 
         return timed
 
     def split(self) -> dict[str, float]:
-        """Seconds by part; `rest` is what no part has, `all` the whole."""
-        whole = max(self._clock() - self._begun, 1e-9)
-        return {**self.spent, "rest": max(0.0, whole - sum(self.spent.values())), "all": whole}
+        """Seconds by part, which add up to `all`: the wall time that the episode takes when nothing is asked aside.
+
+        `planner` is what it waited for the planner when the arm's hold was over, `rest` is what no part has.
+        """
+        waited, added = waits(*(self.single.get(part, []) for part in (ASKED, HOLD, ASIDE)))
+        parts = {**self.spent, ASKED: waited}
+        whole = max(self._clock() - self._begun - added, 1e-9)
+        return {**parts, "rest": max(0.0, whole - sum(parts.values())), "all": whole}
 
     def microseconds(self, part: str) -> list[float]:
         """Median, 99th percentile and maximum of the single times of `part` [µs]; empty if none were kept."""
@@ -55,3 +69,17 @@ class Stopwatch:
             return []
         micro = 1e6 * np.array(times)
         return [float(np.quantile(micro, q)) for q in (0.5, 0.99, 1.0)]
+
+
+def waits(asked: list[float], holds: list[float], aside: list[float]) -> tuple[float, float]:
+    """What the planner, and what the question `aside`, added to the wall time [s].
+
+    Both run one after the other beside the arm's hold, which takes time of its own: only what is longer is waited for.
+    `asked` and `holds` come in pairs; what was asked aside came before the first question.
+    """
+    pairs = list(zip(asked, holds, strict=False))  # a question that a person interrupted has no end
+    waited = sum(max(0.0, planner - hold) for planner, hold in pairs)
+    if not pairs:
+        return waited, 0.0
+    planner, hold = pairs[0]
+    return waited, max(0.0, sum(aside) + planner - hold) - max(0.0, planner - hold)
