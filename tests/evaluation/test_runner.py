@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -25,11 +26,13 @@ from dualbrain.evaluation.planners import Planners, Sources, check_planners, pla
 from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.runner import STAGES, Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST
-from dualbrain.evaluation.suite import MemoryPart, is_due, open_suite, read_suite, shipped
+from dualbrain.evaluation.suite import MemoryPart, Task, check_suite, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
 from dualbrain.planner.prompt import MAX_RECALLED
 from dualbrain.runtime.trace import DEAD_BAND
+from dualbrain.world.depth_perception import DepthPerception
+from dualbrain.world.families import FAMILIES, LEVELS, assign, families_of
 from tests.evaluation.rows import COLLISION, row
 
 SUITE = b"""
@@ -378,6 +381,51 @@ def test_an_unsound_suite_is_refused_with_its_reason(change, said):
     kept = [line for line in SUITE.splitlines() if not line.startswith(key)]
     with pytest.raises((InvalidSetup, UnknownName), match=said):
         read_suite(b"\n".join([change, *kept]), "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("before", "change", "said"),
+    [
+        (b'["B1", "B3", "M"]', b'["B1", "B1", "B3"]', "methods of suite tiny: got 'B1 twice'"),
+        (b"seeds = 4", b'seeds = 4\nrobots = ["panda", "panda"]', "panda twice"),
+        (b"[memory]", b'[[tasks]]\nfamily = "clutter_grasp"\n[memory]', "clutter_grasp I twice"),
+        (b"[memory]", b'robots = ["panda", "panda"]\n[memory]', "robots of clutter_grasp I .*panda twice"),
+        (b"[memory]", b'methods = ["B1", "B1"]\n[memory]', "methods of clutter_grasp I .*B1 twice"),
+        (b"seeds = 4", b"seeds = 4\nplanning_time = -1.0", "planning_time"),
+        (b"seeds = 4", b"seeds = 4\nplanning_time = inf", "planning_time"),
+        (b"seeds = 4", b"seeds = 4\ngallery = -4", "gallery"),
+        (b"start = 2", b"start = 2\nepsilon = -1.0", "epsilon"),
+        (b"start = 2", b"start = 2\nepsilon = nan", "epsilon"),
+        (b'"tiny"', b'"a/b"', "name of the suite"), (b'"tiny"', b'".."', "name of the suite"),
+        (b'"tiny"', b'""', "name of the suite"),
+    ],
+)  # fmt: skip
+def test_what_would_be_counted_twice_or_fail_in_flight_is_refused_when_the_suite_is_read(before, change, said):
+    assert before in SUITE
+    with pytest.raises(InvalidSetup, match=said):
+        read_suite(SUITE.replace(before, change), "x.toml")
+
+
+@pytest.mark.parametrize(("family", "robot", "shown"), [
+    (family, robot, not FAMILIES[family].mobile and family != "dynamic_obstacle")
+    for robot in ("panda", "base") for family in families_of(robot)
+])  # fmt: skip
+def test_depth_cameras_are_given_no_task_that_they_cannot_show(suite, family, robot, shown):
+    for level in LEVELS:
+        here = msgspec.structs.replace(
+            suite, methods=("B3", "B3-depth"), robots=(robot,), tasks=(Task(family, level),)
+        )  # fmt: skip
+        spec = assign(family, level, TEST.start, robot).spec
+        camera = SimpleNamespace(views=())
+        if shown:
+            check_suite(here)
+            DepthPerception(spec, camera)
+        else:
+            with pytest.raises(InvalidSetup, match="without people"):
+                DepthPerception(spec, camera)
+            with pytest.raises(InvalidSetup, match="Leave out B3-depth"):
+                check_suite(here)
+            check_suite(msgspec.structs.replace(here, tasks=(Task(family, level, methods=("B3",)),)))
 
 
 def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
