@@ -350,8 +350,32 @@ def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
     assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
-    named = "adapted=adapter:aa,base=template"
+    named = "adapted=base-135m,base=template"
     assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "said"),
+    [
+        (("--suite", "smoke", "--planner", "nosuch"), 5, "base-135m"),
+        (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
+        (("--suite", "smoke", "--planner", "base="), 2, "PART=PLANNER"),
+        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each part once"),
+        (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
+        (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
+        (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),
+        (("--suite", "smoke", "--robots", "panda,"), 2, "--robots: got 'panda,'"),
+        (("--suite", "smoke", "--robots", "base"), 5, "clutter_grasp I: panda, "),
+        (("--suite", "refusals", "--robots", "ur5e", "--planner", "adapted=base-135m"), 5, "hazardous: panda;"),
+        (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    for asked in (more, (*more, "--dry-run")):
+        assert call(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):

@@ -72,7 +72,10 @@ def evaluate(
     from dualbrain.cli.graphics import choose_graphics
 
     blind = choose_graphics(os.environ)  # before MuJoCo is imported, here and in every worker
-    from dualbrain.evaluation.runner import Runner
+    from dualbrain.evaluation.parts import require_adapters
+    from dualbrain.evaluation.planners import Sources
+    from dualbrain.evaluation.runner import STAGES, Runner
+    from dualbrain.evaluation.unit import units_of
     from dualbrain.runtime.steps import alone
 
     if jobs < 0:
@@ -83,11 +86,13 @@ def evaluate(
     folder = out or Path("runs") / f"evaluate-{chosen.name}"
     account = Account()
     runner = Runner(chosen, folder, clock=time.monotonic, tell=lambda progress: account.print(_line(progress)))
+    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
+    require_adapters(chosen, (unit for stage in STAGES for unit in units_of(chosen, stage)), sources)
     if dry_run:
         return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
     _can_see(chosen.methods, blind)
     with alone(folder, wait=False):
-        return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
+        return _run(runner, sources, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
 
 
 def _can_see(methods: tuple[str, ...], blind: str) -> None:
@@ -108,9 +113,9 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
 
     found, changes = open_suite(suite), dict[str, Any]()
     if methods:
-        changes["methods"] = tuple(name.strip() for name in methods.split(","))
+        changes["methods"] = _listed("--methods", methods)
     if robots:
-        changes |= _flown_by(found, tuple(name.strip() for name in robots.split(",")))
+        changes |= _flown_by(found, _listed("--robots", robots))
     if planner:
         changes["planners"] = found.planners | _parts(planner)
     if episodes < 0:
@@ -124,8 +129,16 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
     return found
 
 
+def _listed(option: str, names: str) -> tuple[str, ...]:
+    """Names between commas; raises `WrongUsage` if one of them is empty."""
+    found = tuple(name.strip() for name in names.split(","))
+    if not all(found):
+        raise WrongUsage(option, got=names, allowed="names with a comma between two of them")
+    return found
+
+
 def _flown_by(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
-    """The suite's tasks that one of `robots` can have, for these alone."""
+    """The suite's tasks that one of `robots` can have, for these alone; raises `InvalidSetup` if there are none."""
     alone = msgspec.structs.replace(suite, robots=robots)
     own = (msgspec.structs.replace(one, robots=tuple(r for r in one.robots if r in robots)) for one in suite.tasks)
     kept = [
@@ -133,23 +146,35 @@ def _flown_by(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
         for old, new in zip(suite.tasks, own, strict=True)
         if bool(old.robots) == bool(new.robots) and alone.robots_of(new)
     ]
+    if not kept:
+        have = [f"{task.name}: {', '.join(_robots_for(task))}" for task in suite.tasks]
+        raise InvalidSetup(f"robots of suite {suite.name}", got=", ".join(robots), allowed="; ".join(have))
     return {"robots": robots, "tasks": tuple(kept)}
 
 
+def _robots_for(task: Any) -> tuple[str, ...]:
+    """The robots that can have `task`: those that it names, or all shipped ones whose family it is of."""
+    from dualbrain.embodiment.body import BODIES
+    from dualbrain.world.families import families_of
+
+    return task.robots or tuple(name for name in BODIES if task.family in families_of(name))
+
+
 def _parts(planner: str) -> dict[str, str]:
-    """By part: its planner. A name alone is the base."""
-    pairs = (one.strip().partition("=") for one in planner.split(","))
-    return {part if sign else "base": name if sign else part for part, sign, name in pairs}
+    """By part: its planner. A name alone is the base. Raises `WrongUsage` if one is missing or a part named twice."""
+    pairs = [one.partition("=") for one in _listed("--planner", planner)]
+    named = [(part.strip(), name.strip()) if sign else ("base", part) for part, sign, name in pairs]
+    if not all(name for _, name in named) or len(dict(named)) < len(named):
+        raise WrongUsage("--planner", got=planner, allowed="each part once, with its planner, as PART=PLANNER")
+    return dict(named)
 
 
-def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
     from dualbrain.cli.report import FLOWN, flown_on
     from dualbrain.evaluation.parts import require_parts
-    from dualbrain.evaluation.planners import Sources
     from dualbrain.evaluation.runner import CONFIG, STAGES
     from dualbrain.evaluation.table_file import FILE, write_table
 
-    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
     require_parts(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)), sources)
     runner.prepare(*_here(runner.suite))
     whole = False
