@@ -186,8 +186,9 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
 
 def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
     shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
-    for left_over in ("failure_1.jpg", "failure_2.jpg"):
+    for left_over in ("failure_1.jpg", "failure_2.jpg", "failure_cam.jpg", "failure_7.jpg"):
         (tmp_path / left_over).write_bytes(b"of a larger gallery")
+    (tmp_path / "report.md").write_text("![1](failure_1.jpg)\n![2](failure_2.jpg)\n")
     write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again"))
     page = (tmp_path / "report.md").read_text()
     for part in (
@@ -203,10 +204,32 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     for name in shown:
         assert (tmp_path / name).stat().st_size > 300
     assert not (tmp_path / "failure_2.jpg").exists()
+    assert (tmp_path / "failure_cam.jpg").exists()  # no picture of the page that was replaced
+    assert (tmp_path / "failure_7.jpg").exists()
     chart = (tmp_path / "curves.svg").read_text()
     assert "mathdefault" not in (tmp_path / "latencies.svg").read_text()  # ticks are numbers, no formulas to be set
     assert ElementTree.fromstring(chart).tag.endswith("svg")
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
+
+
+def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_says_what_is_not_there(
+    rows, suite, tmp_path, capsys
+):
+    bare = [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in rows]
+    write_table(bare, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, tmp_path / FILE)
+    (tmp_path / "failure_1.jpg").write_bytes(b"flown once")
+    (tmp_path / "report.md").write_text("![1](failure_1.jpg)")
+    assert call(["report", str(tmp_path), "--page", str(tmp_path)]) == 0
+    assert (tmp_path / "failure_1.jpg").read_bytes() == b"flown once"
+    page = (tmp_path / "report.md").read_text()
+    assert "traces.svg" not in page
+    assert not (tmp_path / "traces.svg").exists()
+    assert (tmp_path / "report.html").read_text().count("<svg") == 2
+    for said in ("pictures of failures, chosen by them: no row", "How long each decision took"):
+        assert said in page.partition("## What was not measured")[2]
+    assert "left out: How long each decision took" in capsys.readouterr().err
+    assert call(["report", str(tmp_path), "--page", str(tmp_path / FILE)]) == 2
+    assert "--page: got" in capsys.readouterr().err
 
 
 def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
@@ -277,8 +300,18 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
     assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
-    assert call(["report", str(tmp_path)]) == 5
-    assert "dualbrain evaluate --out" in capsys.readouterr().err
+    nothing, page = tmp_path / "nothing", tmp_path / "page"
+    page.mkdir()
+    (page / "report.md").write_text("Again: `dualbrain evaluate --suite attacks --out attacks`")
+    for command in (["report"], ["compare", str(tmp_path / "one")]):
+        assert call([*command, str(nothing)]) == 5
+        assert f"dualbrain evaluate --suite SUITE --out {nothing}" in capsys.readouterr().err
+        assert call([*command, str(page)]) == 5
+        told = capsys.readouterr().err
+        assert "into another folder" in told
+        assert "--out" not in told
+        assert call([*command, str(tmp_path / "one" / FILE)]) == 5
+        assert "Name the folder" in capsys.readouterr().err
 
 
 def test_a_run_under_way_can_be_read(tmp_path):
@@ -286,7 +319,7 @@ def test_a_run_under_way_can_be_read(tmp_path):
     suite = read_suite(SUITE, "tiny.toml")
     runner = Runner(suite, tmp_path, clock=lambda: 0.0, tell=lambda progress: None)
     runner.prepare({"code": "abc"})
-    with pytest.raises(InvalidSetup, match="Fly them first"):
+    with pytest.raises(InvalidSetup, match=rf"no episode that is finished.*--suite FILE.toml --out {tmp_path}"):
         results(tmp_path)
     run = next(unit for unit in units_of(suite, "fly") if unit.method == "M")
     for line in list(lines_of(run))[:4]:
@@ -300,6 +333,75 @@ def test_a_run_under_way_can_be_read(tmp_path):
     runner.journal("fly").append(list(lines_of(run))[4])  # taken up again, after a table was written
     os.utime(tmp_path / FILE, ns=(0, 0))
     assert len(results(tmp_path)[0]) == 5
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A folder of suite `smoke`, two episodes into its flights."""
+    runner = Runner(open_suite("smoke"), tmp_path / "begun", clock=time.perf_counter, tell=print)
+    runner.prepare(origin())
+    for unit in units_of(runner.suite, "fly")[:2]:
+        runner.journal("fly").append(next(iter(lines_of(unit))))
+    return runner
+
+
+def test_a_command_to_go_on_is_the_whole_one(begun, capsys):
+    (begun.out / "fly.jsonl").unlink()
+    assert call(["report", str(begun.out)]) == 5
+    assert f"Go on with it: dualbrain evaluate --suite smoke --out {begun.out}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", [b"{", b"[]", b"\xff"])
+def test_a_configuration_that_cannot_be_read_is_told_with_its_file(begun, capsys, damage):
+    out = begun.out
+    (out / "config.json").write_bytes(damage)
+    for asked in (["report", out], ["evaluate", "--out", out, "--jobs", "1"], ["evaluate", "--dry-run", "--out", out]):
+        assert call(list(map(str, asked))) == 5
+        said = capsys.readouterr().err
+        assert "configuration of the results" in said
+        assert f"Bring back a copy, or name another --out. {out / 'config.json'}" in said
+        assert "Traceback" not in said
+    write_table(begun.rows(), {"suite": msgspec.to_builtins(begun.suite), "origin": {}}, out / FILE)
+    os.utime(out / FILE, ns=(0, 0))  # taken up again after it was written
+    assert call(["report", str(out)]) == 0
+    assert "left out: What was flown since results.parquet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lost", ["wall_s", "key"])
+def test_a_line_that_lacks_something_is_told_and_the_rest_reported(begun, capsys, lost):
+    path = begun.out / "fly.jsonl"
+    first, second = map(msgspec.json.decode, path.read_bytes().splitlines())
+    del second[lost]
+    path.write_bytes(msgspec.json.encode(first) + b"\n" + msgspec.json.encode(second) + b"\n")
+    assert call(["report", str(begun.out)]) == 0
+    assert f"left out: Line 2 of fly.jsonl (Object missing required field `{lost}`)" in capsys.readouterr().err
+    page = (begun.out / "page" / "report.md").read_text()
+    assert "Line 2 of fly.jsonl" in page.partition("## What was not measured")[2]
+    assert "1 episodes" in page
+    for more in ((), ("--dry-run",)):
+        assert call(["evaluate", "--suite", "smoke", "--jobs", "1", "--out", str(begun.out), *more]) == 5
+        said = capsys.readouterr().err
+        assert "line 2 of fly.jsonl" in said
+        assert f"Delete it (where memory grows, all lines of its run): what it told is flown again. {path}" in said
+
+
+def test_a_line_of_questions_that_lacks_something_is_told_too(begun, capsys):
+    begun.journal("plan").append({"key": "B3 #0", "asked": 1})
+    assert call(["evaluate", "--suite", "smoke", "--dry-run", "--out", str(begun.out)]) == 5
+    assert "line 1 of plan.jsonl" in capsys.readouterr().err
+
+
+def test_a_damaged_answer_is_left_out_of_a_report_and_asked_for_again(begun, capsys):
+    plans = Plans(begun.out / "plans")
+    for words in ("put the cube down", "pick the cube up"):
+        plans.keep("it", request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
+    torn = next(iter((begun.out / "plans").glob("*.json")))
+    torn.write_bytes(torn.read_bytes()[:20])
+    assert call(["report", str(begun.out)]) == 0
+    assert f"left out: The answer in plans/{torn.name}, which is damaged" in capsys.readouterr().err
+    assert len(plans.all()) == 1
+    known = [plans.find("it", request(instruction=words)) for words in ("put the cube down", "pick the cube up")]
+    assert known.count(None) == 1
 
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):

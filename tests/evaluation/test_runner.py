@@ -19,9 +19,11 @@ from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_name
 from dualbrain.embodiment.body import BODIES
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
 from dualbrain.evaluation import parts
+from dualbrain.evaluation.case import case_of
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.effort import Effort, effort
+from dualbrain.evaluation.flown_once import FlownOnce
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS, find_method
@@ -258,6 +260,19 @@ def test_epsilon_is_the_median_of_the_pilots_successes():
     assert pilot_epsilon(quiet, ["panda"]) == {"panda": DEAD_BAND}
     with pytest.raises(InvalidSetup, match="no success"):
         pilot_epsilon(rows, ["ur5e"])
+
+
+def test_epsilon_and_episodes_that_are_damaged_are_told_or_made_again(suite, tmp_path):
+    pilot = msgspec.structs.replace(suite, memory=MemoryPart(epsilon="pilot", pilot=2))
+    (tmp_path / "epsilon.json").write_text("{")
+    with pytest.raises(InvalidSetup, match=r"Delete it.*epsilon\.json"):
+        runner(pilot, tmp_path).epsilon()
+    case, once = case_of(suite.tasks[0], 40_000, "panda", 0), FlownOnce(tmp_path / "once")
+    once.keep(case, METHODS["B1"], "it", row("B1", first_stage=""))
+    assert once.find(case, METHODS["B2"], "it", "another") is not None
+    for kept in (tmp_path / "once").iterdir():
+        kept.write_bytes(kept.read_bytes()[:30])
+    assert once.find(case, METHODS["B2"], "it", "another") is None
 
 
 def test_epsilon_that_was_cut_off_does_not_block_the_folder(suite, tmp_path, monkeypatch):

@@ -172,7 +172,7 @@ def _parts(planner: str) -> dict[str, str]:
 def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
     from dualbrain.cli.report import FLOWN, flown_on
     from dualbrain.evaluation.parts import require_parts
-    from dualbrain.evaluation.runner import CONFIG, STAGES
+    from dualbrain.evaluation.runner import CONFIG, STAGES, read_config
     from dualbrain.evaluation.table_file import FILE, write_table
 
     require_parts(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)), sources)
@@ -186,7 +186,7 @@ def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: b
     finally:  # also after Ctrl-C: what was flown so far can be read
         rows = runner.rows()
         if rows:
-            config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
+            config = read_config(runner.out / CONFIG)
             write_table(rows, config | {FLOWN: flown_on(runner.out, config)}, runner.out / FILE)
     if rows:
         account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
@@ -239,8 +239,8 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
     if (runner.out / CONFIG).exists():
         runner.check(*_here(runner.suite))
     left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
-    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.journal("fly").lines()]
-    asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]
+    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.lines("fly")]
+    asked = [line["planner_s"] for line in runner.lines("plan") if line["asked"]]
     episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
     work = effort(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)))
     hours = {"planning": question * work.questions / jobs / 3600.0, "flying": episode * work.flights / jobs / 3600.0}
@@ -259,10 +259,10 @@ def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int
 
 def _again(folder: Path, key: str, blind: str, *, as_json: bool) -> int:
     """One finished episode of the results in `folder` once more, as their own suite has it."""
-    from dualbrain.cli.report import results
+    from dualbrain.cli.report import results, tell_left_out
     from dualbrain.evaluation.again import Watching, again, differs
 
-    flown, _, suite = results(folder)
+    flown, _, suite = results(folder, tell_left_out)
     rows = {row.key: row for row in flown}
     if key not in rows:
         some = ", ".join(list(rows)[:3])

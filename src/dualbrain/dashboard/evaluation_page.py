@@ -5,26 +5,24 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dualbrain.dashboard.evaluation_charts import traced_pair
 from dualbrain.dashboard.evaluation_report import UNSAFE, Shot, Told, jpeg
 from dualbrain.dashboard.page import Html, palette
 from dualbrain.evaluation.markdown import page
 
 PAGE = "report.md"
+FAILURE = re.compile(r"\((failure_[0-9]+\.jpg)\)")
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 
 
 def write_page(folder: Path, told: Told) -> None:
     """Write report.md, and what it shows, into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("failure_*.jpg"):  # of a larger gallery
-        old.unlink()
+    replaced = _shown(folder / PAGE) if told.gallery else set[str]()
     lines = ["## Pictures", ""]
-    for name, title, chart in (
-        ("curves", "Over repetitions: mean with its 95 % interval", told.curves),
-        ("traces", f"One place: {traced_pair(told.rows)}", told.traces),
-        ("latencies", "Share of measurements below", told.latencies),
-    ):
+    charts = [("curves", "Over repetitions: mean with its 95 % interval", told.curves)]
+    charts += [("traces", f"One place: {told.traced}", told.traces)] if told.traced else []
+    charts += [("latencies", "Share of measurements below", told.latencies)]
+    for name, title, chart in charts:
         folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")
         lines += [f"{literal(title)}", "", f"![{literal(title)}]({name}.svg)", ""]
     for number, shot in enumerate(told.gallery, start=1):
@@ -34,6 +32,13 @@ def write_page(folder: Path, told: Told) -> None:
     lines += ["## What was not measured", "", *(f"- {line}" for line in told.missing), ""]
     whole = page(f"Evaluation {told.suite.name}", about(told), told.grids)
     folder.joinpath(PAGE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
+    for old in replaced - _shown(folder / PAGE):  # of a larger gallery
+        folder.joinpath(old).unlink(missing_ok=True)
+
+
+def _shown(page: Path) -> set[str]:
+    """The pictures of failures that a page shows; none where there is no page yet."""
+    return set(FAILURE.findall(page.read_text(encoding="utf-8", errors="replace"))) if page.is_file() else set()
 
 
 def about(told: Told) -> list[str]:
