@@ -97,8 +97,9 @@ app.command(
     "dualbrain.cli.report:compare", name="compare",
     help="""What changed between two evaluations.
 
-    Place by place: the same methods, scenes, seeds and repetitions in both. For each method and metric the second minus
-    the first, its interval over common clusters, and p values corrected over the whole table (Holm).""",
+    In what they were set up otherwise; then place by place, the same methods, scenes, seeds and repetitions in both:
+    for each method and metric the second minus the first, its interval over common clusters, p values corrected over
+    what differs (Holm), and the word that these bear.""",
 )  # fmt: skip
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,8 +76,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
 def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     """Compare two evaluations place by place: the same methods, scenes, seeds and repetitions in both.
 
-    For each method and metric the second minus the first, with its interval over common clusters and p values corrected
-    over the whole table (Holm).
+    In what they were set up otherwise, and for each method and metric the second minus the first, with its interval
+    over common clusters and p values corrected over what differs (Holm).
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.evaluation.changes import changes
+    from dualbrain.evaluation.changes import changed, changes, otherwise
     from dualbrain.evaluation.markdown import grid_lines
 
     before, after = results(first, tell_left_out), results(second, tell_left_out)
@@ -95,11 +96,23 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     if not grid.rows:
         got = f"no episode of {first} in {second}"
         raise InvalidSetup("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
+    set_up = otherwise(before[1], after[1])
     if json:
-        answer(msgspec.json.encode([dict(zip(grid.head, row, strict=True)) for row in grid.rows]).decode())
+        told = [_as_numbers(one) for one in changed(before[0], after[0])]
+        differing = {what: {"before": a, "after": b} for what, a, b in set_up.rows}
+        answer(msgspec.json.encode({"configuration": differing, "changes": told}).decode())
     else:
-        answer("\n".join(grid_lines(grid)))
+        answer("\n".join([*grid_lines(set_up), *grid_lines(grid)]))
     return Exit.SUCCESS
+
+
+def _as_numbers(change: Any) -> dict[str, Any]:
+    """One change for a program: numbers in the metric's unit, null for what is infinite or not known."""
+    found = change.found
+    figures = {"change": found.effect, "low": found.low, "high": found.high, "p": change.p}
+    finite = {name: value if isfinite(value) else None for name, value in figures.items()}
+    about = {"method": change.method, "metric": change.metric.name, "unit": change.metric.unit}
+    return about | finite | {"clusters": found.clusters, "word": change.word}
 
 
 def tell_left_out(line: str) -> None:
