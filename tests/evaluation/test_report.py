@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dualbrain.cli import evaluate
+from dualbrain.cli.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
 from dualbrain.cli.report import command_of, flown_on, results
@@ -21,6 +22,7 @@ from dualbrain.evaluation.changes import OF_MACHINES, changed, changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
+from dualbrain.evaluation.effort import effort
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import Grid, cell, failures, families, methods_of, number, overview
 from dualbrain.evaluation.markdown import grid_lines
@@ -28,6 +30,7 @@ from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.origin import origin
+from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Kept, Plans
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.runner import STAGES, Runner
@@ -519,6 +522,58 @@ def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
     named = "adapted=base-135m,base=template"
     assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
+    sources = Sources(tmp_path, tmp_path)
+    for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
+        assert guess(small, sources) == GUESS_SMALL_S
+    for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
+        assert guess(large, sources) == GUESS_LARGE_S
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
+    asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
+    assert call(asked) == 0
+    one = msgspec.json.decode(capsys.readouterr().out)
+    assert one["question_s"] == {"base-135m": GUESS_SMALL_S}
+    assert one["episode_s"] == GUESS_S
+    asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
+    assert call(asked) == 0
+    both = msgspec.json.decode(capsys.readouterr().out)
+    assert both["question_s"] == {"qwen2.5-coder-1.5b-instruct": GUESS_LARGE_S, "base-135m": GUESS_SMALL_S}
+    suite = narrowed("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
+    units = [unit for stage in STAGES for unit in units_of(suite, stage)]
+    more = effort(suite, units).questions * GUESS_LARGE_S / 3600.0
+    assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
+
+
+def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
+    asked += ["--planner", "adapted=starter-135m"]
+    runner = Runner(narrowed("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
+                    tell=print)  # fmt: skip
+    unit = next(unit for unit in units_of(runner.suite, "plan") if unit.method == "P")
+    for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
+        runner.journal("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
+    flown = next(iter(lines_of(units_of(runner.suite, "fly")[0])))
+    runner.journal("fly").append(flown | {"wall_s": 11.0})
+    assert call(asked) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["question_s"] == {"base-135m": GUESS_SMALL_S, "starter-135m": 8.0}
+    assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
+
+
+def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
+    said = "fewer than two runs of B1, B3: the report will have no interval"
+    monkeypatch.setattr(evaluate, "_passes", lambda *_: True)
+    for more in (("--dry-run",), ()):
+        asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
+        assert call([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
+        assert said in capsys.readouterr().err
+    assert call(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
+    assert "fewer than two runs" not in capsys.readouterr().err
+    suite = open_suite("refusals")
+    assert [suite.clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
+    assert open_suite("paper").clusters("B3") == 40
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,6 @@ from dualbrain.errors import InvalidSetup, MissingPart, WrongUsage
 Flag = Annotated[bool, Parameter(negative="")]
 BEFORE_ALL = ("pilot", "start")
 """Passes that others cannot do without; an answer that is missing from the plan pass is asked for in flight."""
-GUESS_S = 8.0
-"""Wall time of an episode that nobody has measured yet [s]."""
-GUESS_PLAN_S = 20.0
-"""And of a question to a language model on one core."""
 
 
 def evaluate(
@@ -89,7 +85,7 @@ def evaluate(
     sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
     require_adapters(chosen, (unit for stage in STAGES for unit in units_of(chosen, stage)), sources)
     if dry_run:
-        return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
+        return _dry_run(runner, sources, jobs or os.cpu_count() or 1, account, as_json=json)
     _can_see(chosen.methods, blind)
     with alone(folder, wait=False):
         return _run(runner, sources, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
@@ -170,6 +166,7 @@ def _parts(planner: str) -> dict[str, str]:
 
 
 def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.cli.estimate import warn_of_single_runs
     from dualbrain.cli.report import FLOWN, flown_on
     from dualbrain.evaluation.parts import require_parts
     from dualbrain.evaluation.runner import CONFIG, STAGES, read_config
@@ -177,6 +174,7 @@ def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: b
 
     require_parts(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)), sources)
     runner.prepare(*_here(runner.suite))
+    warn_of_single_runs(runner.suite, account)
     whole = False
     try:
         whole = _passes(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
@@ -228,32 +226,15 @@ def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
         return runner.advance(stage, Alone(work))
 
 
-def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:
-    """What would be done, and how long it would take by what was measured here, else by a guess that says so.
-
-    Raises `InvalidSetup` where the folder could not be gone on with.
-    """
-    from dualbrain.evaluation.effort import effort
-    from dualbrain.evaluation.runner import CONFIG, STAGES
+def _dry_run(runner: Any, sources: Any, jobs: int, account: Account, *, as_json: bool) -> int:
+    """Say what would be done; raises `InvalidSetup` where the folder could not be gone on with."""
+    from dualbrain.cli.estimate import estimate, warn_of_single_runs
+    from dualbrain.evaluation.runner import CONFIG
 
     if (runner.out / CONFIG).exists():
         runner.check(*_here(runner.suite))
-    left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
-    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.lines("fly")]
-    asked = [line["planner_s"] for line in runner.lines("plan") if line["asked"]]
-    episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
-    work = effort(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)))
-    hours = {"planning": question * work.questions / jobs / 3600.0, "flying": episode * work.flights / jobs / 3600.0}
-    for stage, count in left.items():
-        account.print(f"{stage}: {count} episodes left")
-    account.print(f"at most {work.questions} questions and {work.flights} flights, with those that only measure")
-    basis = "measured here" if flown else "a guess"
-    account.print(
-        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "
-        f"{episode:.1f} s an episode ({basis}) and {question:.1f} s a question ({'measured' if asked else 'a guess'})"
-    )
-    if as_json:
-        answer(msgspec.json.encode({"left": left, "hours": hours, "episode_s": episode, "basis": basis}).decode())
+    estimate(runner, sources, jobs, account, as_json=as_json)
+    warn_of_single_runs(runner.suite, account)
     return Exit.SUCCESS
 
 
@@ -305,7 +286,3 @@ def _time(seconds: float | None) -> str:
         if seconds < 7200
         else f"{seconds / 3600:.1f} h"
     )
-
-
-def _mean(values: list[float], guess: float) -> float:
-    return sum(values) / len(values) if values else guess

@@ -115,6 +115,13 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether `method` flies `task`: every one does, unless the task names its own."""
         return not task.methods or method in task.methods
 
+    def clusters(self, method: str) -> int:
+        """Units of statistics of `method`: runs, and of what is to be declined sentences, at most one an episode."""
+        return sum(
+            len(self.robots_of(task)) * (self.runs if task.ask == "errand" else self.episodes)
+            for task in self.tasks if self.flies(method, task)
+        )  # fmt: skip
+
 
 def is_due(every: int, repetition: int) -> bool:
     """Whether what is done every so many-th repetition, or never (0), is done in this one: the same for all methods."""
