@@ -27,13 +27,7 @@ def evaluate(
     out: Path | None = None, jobs: int = 0, dry_run: Flag = False, plan_only: Flag = False, again: str = "",
     json: Flag = False,
 ) -> int:  # fmt: skip
-    """Compare methods: every one flies the same scenes, seeds and words; the results are one Parquet file.
-
-    Passes, each resumable: ε from pilot episodes, the ledger that all methods with memory start from, the planner's
-    answers (kept by question), the episodes. Killed in any way, the same command with the same --out goes on where it
-    was. Read the results with `dualbrain report DIR`, two of them with `dualbrain compare DIR DIR`.
-
-    For example: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`.
+    """Compare methods by the paper's protocol, resumably.
 
     Parameters
     ----------

@@ -24,10 +24,7 @@ FLOWN = "flown"
 
 
 def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json: Flag = False) -> int:
-    """Write FOLDER/report.html (one file, works offline) and FOLDER/page/report.md from the results in FOLDER.
-
-    Verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over repetitions, traces,
-    failures with pictures, latencies, and what was not measured.
+    """What an evaluation found, as one HTML file.
 
     Parameters
     ----------
@@ -74,10 +71,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
 
 
 def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
-    """Compare two evaluations place by place: the same methods, scenes, seeds and repetitions in both.
-
-    In what they were set up otherwise, and for each method and metric the second minus the first, with its interval
-    over common clusters and p values corrected over what differs (Holm).
+    """What changed between two evaluations.
 
     Parameters
     ----------
