@@ -81,8 +81,8 @@ app.command(
     from pilot episodes, the ledger that all methods with memory start from, the planner's answers (kept by question),
     the episodes. Killed in any way, the same command with the same --out goes on where it was.
 
-    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, or of two of them `dualbrain
-    compare DIR DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
+    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain compare DIR
+    DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
 )  # fmt: skip
 app.command(
     "dualbrain.cli.report:report", name="report",

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -101,12 +100,12 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
 
 
 def _as_numbers(change: Any) -> dict[str, Any]:
-    """One change for a program: numbers in the metric's unit, null for what is infinite or not known."""
+    """One change for a program: numbers in the metric's unit, what is infinite or not known is encoded as null."""
     found = change.found
-    figures = {"change": found.effect, "low": found.low, "high": found.high, "p": change.p}
-    finite = {name: value if isfinite(value) else None for name, value in figures.items()}
-    about = {"method": change.method, "metric": change.metric.name, "unit": change.metric.unit}
-    return about | finite | {"clusters": found.clusters, "word": change.word}
+    return {
+        "method": change.method, "metric": change.metric.name, "unit": change.metric.unit, "change": found.effect,
+        "low": found.low, "high": found.high, "p": change.p, "clusters": found.clusters, "word": change.word,
+    }  # fmt: skip
 
 
 def tell_left_out(line: str) -> None:

@@ -91,7 +91,7 @@ def _differing(before: dict[str, Any], after: dict[str, Any], path: str = "") ->
             yield from _differing(a, b, f"{here}.")
         elif isinstance(a, list) and isinstance(b, list):
             ours, theirs = [one for one in a if one not in b], [one for one in b if one not in a]
-            yield here, *map(_told, (ours, theirs) if ours or theirs else (a, b))
+            yield (here, _told(ours), _told(theirs)) if ours or theirs else (here, _told(a), _told(b))
         else:
             yield here, _told(a), _told(b)
 
