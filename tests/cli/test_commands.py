@@ -1,5 +1,6 @@
 """The commands that do not move anything: check, schema, replay, models, doctor, help."""
 
+import inspect
 import io
 import json
 import sys
@@ -7,7 +8,9 @@ import sys
 import jsonschema
 import pytest
 
+from dualbrain.cli.evaluate import evaluate
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.report import compare, report
 from tests.stories.rig import GRASP, PLACE, contract, decline, pause
 
 GOOD = contract(("grasp", GRASP), ("place", PLACE))
@@ -141,3 +144,12 @@ def test_help_lists_every_command(tell):
     assert code == Exit.SUCCESS
     for name in ("run", "demo", "schema", "check", "replay", "doctor", "models", "robot"):
         assert name in out
+
+
+@pytest.mark.parametrize(("command", "function"), [("evaluate", evaluate), ("report", report), ("compare", compare)])
+def test_help_and_the_function_tell_one_text(tell, command, function):
+    told = " ".join(inspect.getdoc(function).partition("Parameters\n")[0].split())
+    code, out, _ = tell(command, "--help")
+    assert code == Exit.SUCCESS
+    assert told
+    assert told in " ".join(out.split())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from dualbrain.cli import evaluate
+from dualbrain.cli.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
 from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
 from dualbrain.cli.report import command_of, flown_on, results
@@ -18,10 +19,11 @@ from dualbrain.dashboard.evaluation_charts import COLOURS, MARKERS, curves, late
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, facts, render_evaluation
 from dualbrain.errors import InvalidSetup
-from dualbrain.evaluation.changes import changes
+from dualbrain.evaluation.changes import OF_MACHINES, changed, changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
+from dualbrain.evaluation.effort import effort
 from dualbrain.evaluation.failure import class_of
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import (
@@ -40,11 +42,12 @@ from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
 from dualbrain.evaluation.origin import origin
+from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Kept, Plans
 from dualbrain.evaluation.report_tables import all_grids
 from dualbrain.evaluation.runner import STAGES, Runner
 from dualbrain.evaluation.statistics import Estimate
-from dualbrain.evaluation.suite import open_suite, read_suite
+from dualbrain.evaluation.suite import Task, open_suite, read_suite
 from dualbrain.evaluation.table_file import FILE, write_table
 from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.words import KINDS, caption, cut, headline
@@ -338,8 +341,9 @@ def test_the_page_is_one_file_without_script_and_escapes_what_it_is_told(rows, s
 
 def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it_is_told(rows, suite, tmp_path):
     shots = [Shot(rows[1], "<img src=x> [a](b) `c`", np.zeros((48, 64, 3), np.uint8))]
-    for left_over in ("failure_1.jpg", "failure_2.jpg"):
+    for left_over in ("failure_1.jpg", "failure_2.jpg", "failure_cam.jpg", "failure_7.jpg"):
         (tmp_path / left_over).write_bytes(b"of a larger gallery")
+    (tmp_path / "report.md").write_text("![1](failure_1.jpg)\n![2](failure_2.jpg)\n")
     write_page(tmp_path, Told(rows, suite, {"origin": {"code": "abc"}}, KEPT, shots, "2026-11-21", "again"))
     page = (tmp_path / "report.md").read_text()
     for part in (
@@ -358,10 +362,32 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     for name in shown:
         assert (tmp_path / name).stat().st_size > 300
     assert not (tmp_path / "failure_2.jpg").exists()
+    assert (tmp_path / "failure_cam.jpg").exists()  # no picture of the page that was replaced
+    assert (tmp_path / "failure_7.jpg").exists()
     chart = (tmp_path / "curves.svg").read_text()
     assert "mathdefault" not in (tmp_path / "latencies.svg").read_text()  # ticks are numbers, no formulas to be set
     assert ElementTree.fromstring(chart).tag.endswith("svg")
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
+
+
+def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_says_what_is_not_there(
+    rows, suite, tmp_path, capsys
+):
+    bare = [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in rows]
+    write_table(bare, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, tmp_path / FILE)
+    (tmp_path / "failure_1.jpg").write_bytes(b"flown once")
+    (tmp_path / "report.md").write_text("![1](failure_1.jpg)")
+    assert call(["report", str(tmp_path), "--page", str(tmp_path)]) == 0
+    assert (tmp_path / "failure_1.jpg").read_bytes() == b"flown once"
+    page = (tmp_path / "report.md").read_text()
+    assert "traces.svg" not in page
+    assert not (tmp_path / "traces.svg").exists()
+    assert (tmp_path / "report.html").read_text().count("<svg") == 2
+    for said in ("pictures of failures, chosen by them: no row", "How long each decision took"):
+        assert said in page.partition("## What was not measured")[2]
+    assert "left out: How long each decision took" in capsys.readouterr().err
+    assert call(["report", str(tmp_path), "--page", str(tmp_path / FILE)]) == 2
+    assert "--page: got" in capsys.readouterr().err
 
 
 def test_a_page_of_nothing_flown_by_most_methods_still_stands(suite):
@@ -375,13 +401,78 @@ def test_methods_come_in_the_order_of_the_main_table():
 
 
 def test_changes_name_the_direction_and_only_common_places():
-    before = [row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(6)]
-    after = [row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(8)]
+    before = [row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(8)]
+    after = [row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(10)]
     lines = {line[1]: line for line in changes(before, after).rows}
     assert lines["intervention frequency"][-1] == "better"
-    assert lines["intervention frequency"][-2] == "6"
+    assert lines["intervention frequency"][-2] == "8"
     assert lines["success"][-1] == "the same"
     assert BY_NAME["intervention frequency"].better == -1
+
+
+def flown_twice(runs=8, **values):
+    """Two evaluations in which B3 differs in all of `values`: before, and after by the run."""
+    before = [row("B3", run, seed=run) for run in range(runs)]
+    later = [{name: of(run) for name, of in values.items()} for run in range(runs)]
+    return before, [msgspec.structs.replace(one, **new) for one, new in zip(before, later, strict=True)]
+
+
+def test_what_a_change_is_called_goes_by_the_corrected_p():
+    """Six clusters of eight got better: the interval leaves out 0, and among several tests that is too little."""
+    told = {
+        one.metric.name: one
+        for one in changed(*flown_twice(frequency=lambda k: 0.1 + 0.12 * (k < 2), severity=lambda k: k % 2))
+    }
+    found = told["intervention frequency"]
+    assert found.found.high < 0.0
+    assert found.found.p < 0.05 < found.p
+    assert found.word == "no clear change"
+    assert told["success"].word == "the same"
+    one_cluster = {one.metric.name: one for one in changed(*flown_twice(1, frequency=lambda k: 0.1))}
+    assert one_cluster["intervention frequency"].word == one_cluster["success"].word == "not known"
+
+
+def test_what_is_alike_or_of_the_machine_makes_the_correction_of_nothing_larger():
+    slower = flown_twice(gate_s=lambda k: 1.0, filter_us=lambda k: [80.0 + k] * 3, severity=lambda k: 0.1 + k)
+    told = {one.metric.name: one for one in changed(*slower)}
+    assert told["severity"].p == told["severity"].found.p == 2 / 2**8
+    for name in OF_MACHINES:
+        assert np.isnan(told[name].p)
+        assert told[name].word == "of the machine"
+    line = next(line for line in changes(*slower).rows if line[1] == "gate time")
+    assert line[4] == "–"
+
+
+def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, capsys):
+    ours = read_suite(SUITE, "tiny.toml")
+    theirs = msgspec.structs.replace(ours, methods=("B1", "B3"), planners={"base": "base-135m"}, says="Another.",
+                                     tasks=(*ours.tasks, Task("edge_rescue", "II")))  # fmt: skip
+    for name, suite, code in (("one", ours, "abc"), ("two", theirs, "def")):
+        arms = {method: METHODS[method] for method in suite.methods}
+        config = {"suite": suite, "methods": arms, "origin": {"code": code, "python": "3"}, "adapters": {}}
+        config = msgspec.json.decode(msgspec.json.encode(config))
+        (tmp_path / name).mkdir()
+        write_table(rows[:1] if name == "one" else rows, config, tmp_path / name / FILE)
+    lines = [
+        ("origin.code", "abc", "def"), ("suite.methods", "M", "–"), ("suite.planners.base", "template", "base-135m"),
+        ("suite.tasks", "–", "edge_rescue II errand all"),
+    ]  # fmt: skip
+    pair = [str(tmp_path / "one"), str(tmp_path / "two")]
+    assert call(["compare", *pair]) == 0
+    said = capsys.readouterr().out
+    for line in lines:
+        assert f"| {' | '.join(line)} |" in said
+    assert "python" not in said
+    assert call(["compare", *pair, "--json"]) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["configuration"] == {what: {"before": a, "after": b} for what, a, b in lines}
+    found = next(one for one in told["changes"] if one["metric"] == "success")
+    assert found == {
+        "method": "B1", "metric": "success", "unit": "share", "change": 0.0, "low": None, "high": None, "p": None,
+        "clusters": 1, "word": "not known",
+    }  # fmt: skip
+    assert call(["compare", *pair[:1] * 2]) == 0
+    assert "None." in capsys.readouterr().out
 
 
 def test_seconds_are_lost_only_by_what_succeeded_on_truth():
@@ -432,8 +523,18 @@ def test_commands_read_results(rows, suite, tmp_path, capsys):
     assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
     assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
     assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
-    assert call(["report", str(tmp_path)]) == 5
-    assert "dualbrain evaluate --out" in capsys.readouterr().err
+    nothing, page = tmp_path / "nothing", tmp_path / "page"
+    page.mkdir()
+    (page / "report.md").write_text("Again: `dualbrain evaluate --suite attacks --out attacks`")
+    for command in (["report"], ["compare", str(tmp_path / "one")]):
+        assert call([*command, str(nothing)]) == 5
+        assert f"dualbrain evaluate --suite SUITE --out {nothing}" in capsys.readouterr().err
+        assert call([*command, str(page)]) == 5
+        told = capsys.readouterr().err
+        assert "into another folder" in told
+        assert "--out" not in told
+        assert call([*command, str(tmp_path / "one" / FILE)]) == 5
+        assert "Name the folder" in capsys.readouterr().err
 
 
 def test_a_run_under_way_can_be_read(tmp_path):
@@ -441,7 +542,7 @@ def test_a_run_under_way_can_be_read(tmp_path):
     suite = read_suite(SUITE, "tiny.toml")
     runner = Runner(suite, tmp_path, clock=lambda: 0.0, tell=lambda progress: None)
     runner.prepare({"code": "abc"})
-    with pytest.raises(InvalidSetup, match="Fly them first"):
+    with pytest.raises(InvalidSetup, match=rf"no episode that is finished.*--suite FILE.toml --out {tmp_path}"):
         results(tmp_path)
     run = next(unit for unit in units_of(suite, "fly") if unit.method == "M")
     for line in list(lines_of(run))[:4]:
@@ -455,6 +556,75 @@ def test_a_run_under_way_can_be_read(tmp_path):
     runner.journal("fly").append(list(lines_of(run))[4])  # taken up again, after a table was written
     os.utime(tmp_path / FILE, ns=(0, 0))
     assert len(results(tmp_path)[0]) == 5
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A folder of suite `smoke`, two episodes into its flights."""
+    runner = Runner(open_suite("smoke"), tmp_path / "begun", clock=time.perf_counter, tell=print)
+    runner.prepare(origin())
+    for unit in units_of(runner.suite, "fly")[:2]:
+        runner.journal("fly").append(next(iter(lines_of(unit))))
+    return runner
+
+
+def test_a_command_to_go_on_is_the_whole_one(begun, capsys):
+    (begun.out / "fly.jsonl").unlink()
+    assert call(["report", str(begun.out)]) == 5
+    assert f"Go on with it: dualbrain evaluate --suite smoke --out {begun.out}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", [b"{", b"[]", b"\xff"])
+def test_a_configuration_that_cannot_be_read_is_told_with_its_file(begun, capsys, damage):
+    out = begun.out
+    (out / "config.json").write_bytes(damage)
+    for asked in (["report", out], ["evaluate", "--out", out, "--jobs", "1"], ["evaluate", "--dry-run", "--out", out]):
+        assert call(list(map(str, asked))) == 5
+        said = capsys.readouterr().err
+        assert "configuration of the results" in said
+        assert f"Bring back a copy, or name another --out. {out / 'config.json'}" in said
+        assert "Traceback" not in said
+    write_table(begun.rows(), {"suite": msgspec.to_builtins(begun.suite), "origin": {}}, out / FILE)
+    os.utime(out / FILE, ns=(0, 0))  # taken up again after it was written
+    assert call(["report", str(out)]) == 0
+    assert "left out: What was flown since results.parquet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lost", ["wall_s", "key"])
+def test_a_line_that_lacks_something_is_told_and_the_rest_reported(begun, capsys, lost):
+    path = begun.out / "fly.jsonl"
+    first, second = map(msgspec.json.decode, path.read_bytes().splitlines())
+    del second[lost]
+    path.write_bytes(msgspec.json.encode(first) + b"\n" + msgspec.json.encode(second) + b"\n")
+    assert call(["report", str(begun.out)]) == 0
+    assert f"left out: Line 2 of fly.jsonl (Object missing required field `{lost}`)" in capsys.readouterr().err
+    page = (begun.out / "page" / "report.md").read_text()
+    assert "Line 2 of fly.jsonl" in page.partition("## What was not measured")[2]
+    assert "1 episodes" in page
+    for more in ((), ("--dry-run",)):
+        assert call(["evaluate", "--suite", "smoke", "--jobs", "1", "--out", str(begun.out), *more]) == 5
+        said = capsys.readouterr().err
+        assert "line 2 of fly.jsonl" in said
+        assert f"Delete it (where memory grows, all lines of its run): what it told is flown again. {path}" in said
+
+
+def test_a_line_of_questions_that_lacks_something_is_told_too(begun, capsys):
+    begun.journal("plan").append({"key": "B3 #0", "asked": 1})
+    assert call(["evaluate", "--suite", "smoke", "--dry-run", "--out", str(begun.out)]) == 5
+    assert "line 1 of plan.jsonl" in capsys.readouterr().err
+
+
+def test_a_damaged_answer_is_left_out_of_a_report_and_asked_for_again(begun, capsys):
+    plans = Plans(begun.out / "plans")
+    for words in ("put the cube down", "pick the cube up"):
+        plans.keep("it", request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
+    torn = next(iter((begun.out / "plans").glob("*.json")))
+    torn.write_bytes(torn.read_bytes()[:20])
+    assert call(["report", str(begun.out)]) == 0
+    assert f"left out: The answer in plans/{torn.name}, which is damaged" in capsys.readouterr().err
+    assert len(plans.all()) == 1
+    known = [plans.find("it", request(instruction=words)) for words in ("put the cube down", "pick the cube up")]
+    assert known.count(None) == 1
 
 
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
@@ -505,8 +675,84 @@ def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
     assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
     assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
     assert "--planner adapted=adapter:ID" in capsys.readouterr().err
-    named = "adapted=adapter:aa,base=template"
+    named = "adapted=base-135m,base=template"
     assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
+    sources = Sources(tmp_path, tmp_path)
+    for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
+        assert guess(small, sources) == GUESS_SMALL_S
+    for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
+        assert guess(large, sources) == GUESS_LARGE_S
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
+    asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
+    assert call(asked) == 0
+    one = msgspec.json.decode(capsys.readouterr().out)
+    assert one["question_s"] == {"base-135m": GUESS_SMALL_S}
+    assert one["episode_s"] == GUESS_S
+    asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
+    assert call(asked) == 0
+    both = msgspec.json.decode(capsys.readouterr().out)
+    assert both["question_s"] == {"qwen2.5-coder-1.5b-instruct": GUESS_LARGE_S, "base-135m": GUESS_SMALL_S}
+    suite = narrowed("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
+    units = [unit for stage in STAGES for unit in units_of(suite, stage)]
+    more = effort(suite, units).questions * GUESS_LARGE_S / 3600.0
+    assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
+
+
+def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
+    asked += ["--planner", "adapted=starter-135m"]
+    runner = Runner(narrowed("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
+                    tell=print)  # fmt: skip
+    unit = next(unit for unit in units_of(runner.suite, "plan") if unit.method == "P")
+    for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
+        runner.journal("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
+    flown = next(iter(lines_of(units_of(runner.suite, "fly")[0])))
+    runner.journal("fly").append(flown | {"wall_s": 11.0})
+    assert call(asked) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["question_s"] == {"base-135m": GUESS_SMALL_S, "starter-135m": 8.0}
+    assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
+
+
+def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
+    said = "fewer than two runs of B1, B3: the report will have no interval"
+    monkeypatch.setattr(evaluate, "_passes", lambda *_: True)
+    for more in (("--dry-run",), ()):
+        asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
+        assert call([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
+        assert said in capsys.readouterr().err
+    assert call(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
+    assert "fewer than two runs" not in capsys.readouterr().err
+    suite = open_suite("refusals")
+    assert [suite.clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
+    assert open_suite("paper").clusters("B3") == 40
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "said"),
+    [
+        (("--suite", "smoke", "--planner", "nosuch"), 5, "base-135m"),
+        (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
+        (("--suite", "smoke", "--planner", "base="), 2, "PART=PLANNER"),
+        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each part once"),
+        (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
+        (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
+        (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),
+        (("--suite", "smoke", "--robots", "panda,"), 2, "--robots: got 'panda,'"),
+        (("--suite", "smoke", "--robots", "base"), 5, "clutter_grasp I: panda, "),
+        (("--suite", "refusals", "--robots", "ur5e", "--planner", "adapted=base-135m"), 5, "hazardous: panda;"),
+        (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    for asked in (more, (*more, "--dry-run")):
+        assert call(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):

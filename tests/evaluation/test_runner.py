@@ -6,31 +6,41 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
 from dualbrain import evaluation
+from dualbrain.adaptation.adapter_card import read_adapter_card
 from dualbrain.adaptation.lessons.split import SEEDS
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.adaptation.serving.fitness import vocabularies
+from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.embodiment.body import BODIES
+from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
 from dualbrain.evaluation import parts
+from dualbrain.evaluation.case import case_of
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Alone, Processes
 from dualbrain.evaluation.effort import Effort, effort
+from dualbrain.evaluation.flown_once import FlownOnce
 from dualbrain.evaluation.host import revision
 from dualbrain.evaluation.journal import Journal
 from dualbrain.evaluation.ledgers import RunFolder, rule
 from dualbrain.evaluation.method import METHODS, find_method
 from dualbrain.evaluation.origin import TELLS
-from dualbrain.evaluation.planners import Planners, Sources, check_planners, planner_name
+from dualbrain.evaluation.planners import DRAWN, Planners, Sources, check_planners, planner_name
 from dualbrain.evaluation.plans import Plans
 from dualbrain.evaluation.runner import STAGES, Runner, pilot_epsilon
 from dualbrain.evaluation.seeds import PILOT, START, TEST
-from dualbrain.evaluation.suite import MemoryPart, is_due, open_suite, read_suite, shipped
+from dualbrain.evaluation.suite import MemoryPart, Task, check_suite, is_due, open_suite, read_suite, shipped
 from dualbrain.evaluation.table_file import read_table, write_table
 from dualbrain.evaluation.unit import units_of
 from dualbrain.planner.prompt import MAX_RECALLED
+from dualbrain.planner.registry import planner_names
 from dualbrain.runtime.trace import DEAD_BAND
+from dualbrain.world.depth_perception import DepthPerception
+from dualbrain.world.families import FAMILIES, LEVELS, assign, families_of
 from tests.evaluation.rows import COLLISION, row
 
 SUITE = b"""
@@ -292,6 +302,19 @@ def test_epsilon_is_the_median_of_the_pilots_successes():
         pilot_epsilon(rows, ["ur5e"])
 
 
+def test_epsilon_and_episodes_that_are_damaged_are_told_or_made_again(suite, tmp_path):
+    pilot = msgspec.structs.replace(suite, memory=MemoryPart(epsilon="pilot", pilot=2))
+    (tmp_path / "epsilon.json").write_text("{")
+    with pytest.raises(InvalidSetup, match=r"Delete it.*epsilon\.json"):
+        runner(pilot, tmp_path).epsilon()
+    case, once = case_of(suite.tasks[0], 40_000, "panda", 0), FlownOnce(tmp_path / "once")
+    once.keep(case, METHODS["B1"], "it", row("B1", first_stage=""))
+    assert once.find(case, METHODS["B2"], "it", "another") is not None
+    for kept in (tmp_path / "once").iterdir():
+        kept.write_bytes(kept.read_bytes()[:30])
+    assert once.find(case, METHODS["B2"], "it", "another") is None
+
+
 def test_epsilon_that_was_cut_off_does_not_block_the_folder(suite, tmp_path, monkeypatch):
     told = [row("B3", seed=1, repetition=0, Delta=0.002, success=True)]
     wanted = msgspec.structs.replace(suite, memory=msgspec.structs.replace(suite.memory, epsilon="pilot"))
@@ -420,6 +443,51 @@ def test_an_unsound_suite_is_refused_with_its_reason(change, said):
         read_suite(b"\n".join([change, *kept]), "x.toml")
 
 
+@pytest.mark.parametrize(
+    ("before", "change", "said"),
+    [
+        (b'["B1", "B3", "M"]', b'["B1", "B1", "B3"]', "methods of suite tiny: got 'B1 twice'"),
+        (b"seeds = 4", b'seeds = 4\nrobots = ["panda", "panda"]', "panda twice"),
+        (b"[memory]", b'[[tasks]]\nfamily = "clutter_grasp"\n[memory]', "clutter_grasp I twice"),
+        (b"[memory]", b'robots = ["panda", "panda"]\n[memory]', "robots of clutter_grasp I .*panda twice"),
+        (b"[memory]", b'methods = ["B1", "B1"]\n[memory]', "methods of clutter_grasp I .*B1 twice"),
+        (b"seeds = 4", b"seeds = 4\nplanning_time = -1.0", "planning_time"),
+        (b"seeds = 4", b"seeds = 4\nplanning_time = inf", "planning_time"),
+        (b"seeds = 4", b"seeds = 4\ngallery = -4", "gallery"),
+        (b"start = 2", b"start = 2\nepsilon = -1.0", "epsilon"),
+        (b"start = 2", b"start = 2\nepsilon = nan", "epsilon"),
+        (b'"tiny"', b'"a/b"', "name of the suite"), (b'"tiny"', b'".."', "name of the suite"),
+        (b'"tiny"', b'""', "name of the suite"),
+    ],
+)  # fmt: skip
+def test_what_would_be_counted_twice_or_fail_in_flight_is_refused_when_the_suite_is_read(before, change, said):
+    assert before in SUITE
+    with pytest.raises(InvalidSetup, match=said):
+        read_suite(SUITE.replace(before, change), "x.toml")
+
+
+@pytest.mark.parametrize(("family", "robot", "shown"), [
+    (family, robot, not FAMILIES[family].mobile and family != "dynamic_obstacle")
+    for robot in ("panda", "base") for family in families_of(robot)
+])  # fmt: skip
+def test_depth_cameras_are_given_no_task_that_they_cannot_show(suite, family, robot, shown):
+    for level in LEVELS:
+        here = msgspec.structs.replace(
+            suite, methods=("B3", "B3-depth"), robots=(robot,), tasks=(Task(family, level),)
+        )  # fmt: skip
+        spec = assign(family, level, TEST.start, robot).spec
+        camera = SimpleNamespace(views=())
+        if shown:
+            check_suite(here)
+            DepthPerception(spec, camera)
+        else:
+            with pytest.raises(InvalidSetup, match="without people"):
+                DepthPerception(spec, camera)
+            with pytest.raises(InvalidSetup, match="Leave out B3-depth"):
+                check_suite(here)
+            check_suite(msgspec.structs.replace(here, tasks=(Task(family, level, methods=("B3",)),)))
+
+
 def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
     check_planners(suite)
     with pytest.raises(InvalidSetup, match="--planner adapted=adapter:ID"):
@@ -429,6 +497,71 @@ def test_nobody_to_ask_is_told_before_anything_is_flown(suite):
     with pytest.raises(InvalidSetup, match="Leave out B1-free"):
         check_planners(msgspec.structs.replace(suite, methods=("B3", "B1-free")))
     check_planners(msgspec.structs.replace(suite, methods=("B1-free",), planners={"base": "base-135m"}))
+
+
+@pytest.mark.parametrize(
+    ("planners", "said"),
+    [
+        ({"base": "nosuch"}, "'nosuch' is not a planner.*base-135m.*template"),
+        ({"base": ""}, "'' is not a planner"),
+        ({"base": "adapter:"}, "is not a planner"),
+        ({"base": "transformers:template"}, "is not a planner"),
+        ({"base": "transformers:x.gguf"}, "is not a planner"),
+        ({"base": "shadow:ab@nosuch"}, "is not a planner"),
+        ({"base": "shadow:ab@template"}, "is not a planner"),
+        ({"base": "ftp://host/v1"}, "planner address"),
+        ({"base": "template", "foo": "template"}, "'foo' is not a part.*adapted"),
+        ({"base": "transformers:adapter:champion"}, "what stays the same"),
+        ({"base": "shadow:ab"}, "what stays the same"),
+    ],
+)
+def test_a_planner_or_a_part_that_nobody_knows_is_refused_by_its_name(suite, planners, said):
+    with pytest.raises((InvalidSetup, UnknownName), match=said):
+        check_planners(msgspec.structs.replace(suite, planners=planners))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *DRAWN, *planner_names(), *packaged_names(), "transformers:base-135m", "adapter:ab", "transformers:adapter:ab",
+        "http://host:8000/v1#model", "vllm+http://host/v1", "my/model.gguf", "shadow:ab@base-135m",
+    ],
+)  # fmt: skip
+def test_every_way_to_name_a_planner_passes_also_for_a_part_that_no_method_asks_for(suite, name):
+    check_planners(msgspec.structs.replace(suite, planners={"base": name, "adapted_no_kl": name}))
+
+
+def test_a_pilot_has_somebody_to_ask(suite):
+    pilot = MemoryPart(epsilon="pilot", pilot=2)
+    alone = msgspec.structs.replace(suite, methods=("PE",), planners={"prompted": "template"}, memory=pilot)
+    with pytest.raises(InvalidSetup, match="planner of the pilot"):
+        check_planners(alone)
+
+
+def test_an_adapter_is_looked_for_and_must_have_been_taught_the_robot(suite, tmp_path):
+    sources = Sources(tmp_path, tmp_path)
+
+    def looked_for(robot="panda", **planners):
+        here = msgspec.structs.replace(suite, planners={"base": "template"} | planners, robots=(robot,))
+        parts.require_adapters(here, units_of(here, "fly"), sources)
+
+    looked_for(adapted="base-135m", base="transformers:starter-135m")  # the model below them is not here
+    for name in ("adapter:deadbeef", "transformers:adapter:deadbeef", "shadow:deadbeef@template"):
+        with pytest.raises(UnknownName, match="deadbeef"):
+            looked_for(adapted=name)
+    with pytest.raises(MissingPart):
+        looked_for(adapted=f"adapter:{tmp_path}/none")
+    taught = vocabularies(read_adapter_card(packaged_folder("starter-135m")))
+    untaught = next(robot for robot in BODIES if robot not in taught)
+    assert "clutter_grasp" in families_of(untaught)
+    looked_for(untaught, adapted="starter-135m")  # nobody asks it here
+    with pytest.raises(InvalidSetup, match=untaught):
+        looked_for(untaught, base="starter-135m")
+
+
+def test_a_model_file_that_is_not_there_is_missed_beforehand(tmp_path):
+    with pytest.raises(MissingPart, match="model file"):
+        parts.require_planner(str(tmp_path / "none.gguf"), "panda", Sources(tmp_path, tmp_path))
 
 
 @pytest.mark.parametrize(

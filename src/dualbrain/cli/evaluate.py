@@ -19,10 +19,6 @@ from dualbrain.errors import InvalidSetup, MissingPart, WrongUsage
 Flag = Annotated[bool, Parameter(negative="")]
 BEFORE_ALL = ("pilot", "start")
 """Passes that others cannot do without; an answer that is missing from the plan pass is asked for in flight."""
-GUESS_S = 8.0
-"""Wall time of an episode that nobody has measured yet [s]."""
-GUESS_PLAN_S = 20.0
-"""And of a question to a language model on one core."""
 
 
 def evaluate(
@@ -31,13 +27,7 @@ def evaluate(
     out: Path | None = None, jobs: int = 0, dry_run: Flag = False, plan_only: Flag = False, again: str = "",
     json: Flag = False,
 ) -> int:  # fmt: skip
-    """Compare methods: every one flies the same scenes, seeds and words; the results are one Parquet file.
-
-    Passes, each resumable: ε from pilot episodes, the ledger that all methods with memory start from, the planner's
-    answers (kept by question), the episodes. Killed in any way, the same command with the same --out goes on where it
-    was. Read the results with `dualbrain report DIR`, two of them with `dualbrain compare DIR DIR`.
-
-    For example: `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`.
+    """Compare methods by the paper's protocol, resumably.
 
     Parameters
     ----------
@@ -72,7 +62,10 @@ def evaluate(
     from dualbrain.cli.graphics import choose_graphics
 
     blind = choose_graphics(os.environ)  # before MuJoCo is imported, here and in every worker
-    from dualbrain.evaluation.runner import Runner
+    from dualbrain.evaluation.parts import require_adapters
+    from dualbrain.evaluation.planners import Sources
+    from dualbrain.evaluation.runner import STAGES, Runner
+    from dualbrain.evaluation.unit import units_of
     from dualbrain.runtime.steps import alone
 
     if jobs < 0:
@@ -83,11 +76,13 @@ def evaluate(
     folder = out or Path("runs") / f"evaluate-{chosen.name}"
     account = Account()
     runner = Runner(chosen, folder, clock=time.monotonic, tell=lambda progress: account.print(_line(progress)))
+    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
+    require_adapters(chosen, (unit for stage in STAGES for unit in units_of(chosen, stage)), sources)
     if dry_run:
-        return _estimate(runner, jobs or os.cpu_count() or 1, account, as_json=json)
+        return _dry_run(runner, sources, jobs or os.cpu_count() or 1, account, as_json=json)
     _can_see(chosen.methods, blind)
     with alone(folder, wait=False):
-        return _run(runner, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
+        return _run(runner, sources, jobs or os.cpu_count() or 1, account, plan_only=plan_only, as_json=json)
 
 
 def _can_see(methods: tuple[str, ...], blind: str) -> None:
@@ -108,9 +103,9 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
 
     found, changes = open_suite(suite), dict[str, Any]()
     if methods:
-        changes["methods"] = tuple(name.strip() for name in methods.split(","))
+        changes["methods"] = _listed("--methods", methods)
     if robots:
-        changes |= _flown_by(found, tuple(name.strip() for name in robots.split(",")))
+        changes |= _flown_by(found, _listed("--robots", robots))
     if planner:
         changes["planners"] = found.planners | _parts(planner)
     if episodes < 0:
@@ -124,8 +119,16 @@ def narrowed(suite: str, methods: str, episodes: int, robots: str, planner: str)
     return found
 
 
+def _listed(option: str, names: str) -> tuple[str, ...]:
+    """Names between commas; raises `WrongUsage` if one of them is empty."""
+    found = tuple(name.strip() for name in names.split(","))
+    if not all(found):
+        raise WrongUsage(option, got=names, allowed="names with a comma between two of them")
+    return found
+
+
 def _flown_by(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
-    """The suite's tasks that one of `robots` can have, for these alone."""
+    """The suite's tasks that one of `robots` can have, for these alone; raises `InvalidSetup` if there are none."""
     alone = msgspec.structs.replace(suite, robots=robots)
     own = (msgspec.structs.replace(one, robots=tuple(r for r in one.robots if r in robots)) for one in suite.tasks)
     kept = [
@@ -133,25 +136,39 @@ def _flown_by(suite: Any, robots: tuple[str, ...]) -> dict[str, Any]:
         for old, new in zip(suite.tasks, own, strict=True)
         if bool(old.robots) == bool(new.robots) and alone.robots_of(new)
     ]
+    if not kept:
+        have = [f"{task.name}: {', '.join(_robots_for(task))}" for task in suite.tasks]
+        raise InvalidSetup(f"robots of suite {suite.name}", got=", ".join(robots), allowed="; ".join(have))
     return {"robots": robots, "tasks": tuple(kept)}
 
 
+def _robots_for(task: Any) -> tuple[str, ...]:
+    """The robots that can have `task`: those that it names, or all shipped ones whose family it is of."""
+    from dualbrain.embodiment.body import BODIES
+    from dualbrain.world.families import families_of
+
+    return task.robots or tuple(name for name in BODIES if task.family in families_of(name))
+
+
 def _parts(planner: str) -> dict[str, str]:
-    """By part: its planner. A name alone is the base."""
-    pairs = (one.strip().partition("=") for one in planner.split(","))
-    return {part if sign else "base": name if sign else part for part, sign, name in pairs}
+    """By part: its planner. A name alone is the base. Raises `WrongUsage` if one is missing or a part named twice."""
+    pairs = [one.partition("=") for one in _listed("--planner", planner)]
+    named = [(part.strip(), name.strip()) if sign else ("base", part) for part, sign, name in pairs]
+    if not all(name for _, name in named) or len(dict(named)) < len(named):
+        raise WrongUsage("--planner", got=planner, allowed="each part once, with its planner, as PART=PLANNER")
+    return dict(named)
 
 
-def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+def _run(runner: Any, sources: Any, jobs: int, account: Account, *, plan_only: bool, as_json: bool) -> int:
+    from dualbrain.cli.estimate import warn_of_single_runs
     from dualbrain.cli.report import FLOWN, flown_on
     from dualbrain.evaluation.parts import require_parts
-    from dualbrain.evaluation.planners import Sources
-    from dualbrain.evaluation.runner import CONFIG, STAGES
+    from dualbrain.evaluation.runner import CONFIG, STAGES, read_config
     from dualbrain.evaluation.table_file import FILE, write_table
 
-    sources = Sources(cache(), home() / "adapters", os.environ.get("OPENAI_API_KEY", ""))
     require_parts(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)), sources)
     runner.prepare(*_here(runner.suite))
+    warn_of_single_runs(runner.suite, account)
     whole = False
     try:
         whole = _passes(runner, STAGES[:-1] if plan_only else STAGES, sources, jobs)
@@ -161,7 +178,7 @@ def _run(runner: Any, jobs: int, account: Account, *, plan_only: bool, as_json: 
     finally:  # also after Ctrl-C: what was flown so far can be read
         rows = runner.rows()
         if rows:
-            config = msgspec.json.decode((runner.out / CONFIG).read_bytes())
+            config = read_config(runner.out / CONFIG)
             write_table(rows, config | {FLOWN: flown_on(runner.out, config)}, runner.out / FILE)
     if rows:
         account.print(f"{len(rows)} episodes in {runner.out / FILE}; read them with: dualbrain report {runner.out}")
@@ -203,41 +220,24 @@ def _stage(runner: Any, stage: Any, sources: Any, jobs: int) -> bool:
         return runner.advance(stage, Alone(work))
 
 
-def _estimate(runner: Any, jobs: int, account: Account, *, as_json: bool) -> int:
-    """What would be done, and how long it would take by what was measured here, else by a guess that says so.
-
-    Raises `InvalidSetup` where the folder could not be gone on with.
-    """
-    from dualbrain.evaluation.effort import effort
-    from dualbrain.evaluation.runner import CONFIG, STAGES
+def _dry_run(runner: Any, sources: Any, jobs: int, account: Account, *, as_json: bool) -> int:
+    """Say what would be done; raises `InvalidSetup` where the folder could not be gone on with."""
+    from dualbrain.cli.estimate import estimate, warn_of_single_runs
+    from dualbrain.evaluation.runner import CONFIG
 
     if (runner.out / CONFIG).exists():
         runner.check(*_here(runner.suite))
-    left = {stage: sum(unit.count - unit.done for unit in runner.left(stage)) for stage in STAGES}
-    flown = [0.0 if line.get("same_as") else line["wall_s"] for line in runner.journal("fly").lines()]
-    asked = [line["planner_s"] for line in runner.journal("plan").lines() if line["asked"]]
-    episode, question = _mean(flown, GUESS_S), _mean(asked, GUESS_PLAN_S)
-    work = effort(runner.suite, (unit for stage in STAGES for unit in runner.left(stage)))
-    hours = {"planning": question * work.questions / jobs / 3600.0, "flying": episode * work.flights / jobs / 3600.0}
-    for stage, count in left.items():
-        account.print(f"{stage}: {count} episodes left")
-    account.print(f"at most {work.questions} questions and {work.flights} flights, with those that only measure")
-    basis = "measured here" if flown else "a guess"
-    account.print(
-        f"about {hours['planning']:.1f} h of planning and {hours['flying']:.1f} h of flying on {jobs} cores, at "
-        f"{episode:.1f} s an episode ({basis}) and {question:.1f} s a question ({'measured' if asked else 'a guess'})"
-    )
-    if as_json:
-        answer(msgspec.json.encode({"left": left, "hours": hours, "episode_s": episode, "basis": basis}).decode())
+    estimate(runner, sources, jobs, account, as_json=as_json)
+    warn_of_single_runs(runner.suite, account)
     return Exit.SUCCESS
 
 
 def _again(folder: Path, key: str, blind: str, *, as_json: bool) -> int:
     """One finished episode of the results in `folder` once more, as their own suite has it."""
-    from dualbrain.cli.report import results
+    from dualbrain.cli.report import results, tell_left_out
     from dualbrain.evaluation.again import Watching, again, differs
 
-    flown, _, suite = results(folder)
+    flown, _, suite = results(folder, tell_left_out)
     rows = {row.key: row for row in flown}
     if key not in rows:
         some = ", ".join(list(rows)[:3])
@@ -280,7 +280,3 @@ def _time(seconds: float | None) -> str:
         if seconds < 7200
         else f"{seconds / 3600:.1f} h"
     )
-
-
-def _mean(values: list[float], guess: float) -> float:
-    return sum(values) / len(values) if values else guess

@@ -81,8 +81,8 @@ app.command(
     from pilot episodes, the ledger that all methods with memory start from, the planner's answers (kept by question),
     the episodes. Killed in any way, the same command with the same --out goes on where it was.
 
-    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`. `--dry-run` tells how long
-    a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
+    `dualbrain evaluate --suite smoke --out runs/smoke`, then `dualbrain report runs/smoke`, and `dualbrain compare DIR
+    DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
 )  # fmt: skip
 app.command(
     "dualbrain.cli.report:report", name="report",
@@ -97,8 +97,9 @@ app.command(
     "dualbrain.cli.report:compare", name="compare",
     help="""What changed between two evaluations.
 
-    Place by place: the same methods, scenes, seeds and repetitions in both. For each method and metric the second minus
-    the first, its interval over common clusters, and p values corrected over the whole table (Holm).""",
+    In what they were set up otherwise; then place by place, the same methods, scenes, seeds and repetitions in both:
+    for each method and metric the second minus the first, its interval over common clusters, p values corrected over
+    what differs (Holm), and the word that these bear.""",
 )  # fmt: skip
 for _name, _function, _help in (
     ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),

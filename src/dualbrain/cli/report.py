@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +15,7 @@ from cyclopts import Parameter
 
 from dualbrain.cli.console import Account, answer
 from dualbrain.cli.exits import Exit
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import DualbrainError, InvalidSetup, WrongUsage
 
 Flag = Annotated[bool, Parameter(negative="")]
 FLOWN = "flown"
@@ -21,10 +23,7 @@ FLOWN = "flown"
 
 
 def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json: Flag = False) -> int:
-    """Write FOLDER/report.html (one file, works offline) and FOLDER/page/report.md from the results in FOLDER.
-
-    Verdicts on the paper's hypotheses with their intervals, methods × metrics, curves over repetitions, traces,
-    failures with pictures, latencies, and what was not measured.
+    """What an evaluation found, as one HTML file.
 
     Parameters
     ----------
@@ -45,17 +44,22 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     from dualbrain.evaluation.plans import Plans
     from dualbrain.evaluation.work import PLANS
 
-    rows, config, suite = results(folder)
-    account = Account()
+    pages, account, left_out = page or folder / "page", Account(), list[str]()
+    if pages.exists() and not pages.is_dir():
+        raise WrongUsage("--page", got=str(pages), allowed="a folder, there or to be made")
+    rows, config, suite = results(folder, left_out.append)
     count = suite.gallery if gallery < 0 else gallery
     shots = [] if blind or not count else _shots(rows, suite, count, account)
     if blind and count:
         account.print(f"no pictures: {blind}")
-    kept = Plans(folder / PLANS).all()
-    told = Told(rows, suite, config, kept, shots, flown_on(folder, config), command_of(suite, folder))
+    kept = Plans(folder / PLANS).all(left_out.append)
+    if not kept:
+        left_out.append(f"How long each decision took: the answers to questions ({PLANS}/) are not kept here.")
+    told = Told(rows, suite, config, kept, shots, flown_on(folder, config), command_of(suite, folder), left_out)
     write_evaluation(folder / "report.html", told)
-    pages = page or folder / "page"
     write_page(pages, told)
+    for line in left_out:
+        tell_left_out(line)
     for one in told.found:
         account.print(f"{one.name}: {one.verdict} ({one.says})")
     account.print(f"report: {folder / 'report.html'}, and as a page with pictures: {pages / PAGE}")
@@ -66,10 +70,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
 
 
 def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
-    """Compare two evaluations place by place: the same methods, scenes, seeds and repetitions in both.
-
-    For each method and metric the second minus the first, with its interval over common clusters and p values corrected
-    over the whole table (Holm).
+    """What changed between two evaluations.
 
     Parameters
     ----------
@@ -80,39 +81,91 @@ def compare(first: Path, second: Path, /, *, json: Flag = False) -> int:
     json
         Print one JSON object on stdout.
     """
-    from dualbrain.evaluation.changes import changes
+    from dualbrain.evaluation.changes import changed, changes, otherwise
     from dualbrain.evaluation.markdown import grid_lines
 
-    before, after = results(first), results(second)
+    before, after = results(first, tell_left_out), results(second, tell_left_out)
     grid = changes(before[0], after[0])
     if not grid.rows:
         got = f"no episode of {first} in {second}"
         raise InvalidSetup("evaluations to compare", got=got, allowed="common methods, scenes and repetitions")
+    set_up = otherwise(before[1], after[1])
     if json:
-        answer(msgspec.json.encode([dict(zip(grid.head, row, strict=True)) for row in grid.rows]).decode())
+        told = [_as_numbers(one) for one in changed(before[0], after[0])]
+        differing = {what: {"before": a, "after": b} for what, a, b in set_up.rows}
+        answer(msgspec.json.encode({"configuration": differing, "changes": told}).decode())
     else:
-        answer("\n".join(grid_lines(grid)))
+        answer("\n".join([*grid_lines(set_up), *grid_lines(grid)]))
     return Exit.SUCCESS
 
 
-def results(folder: Path) -> tuple[list[Any], dict[str, Any], Any]:
-    """Rows, configuration and suite of the results in `folder`; of a run under way, what is done of it."""
-    from dualbrain.evaluation.runner import CONFIG, Runner
-    from dualbrain.evaluation.suite import Suite
+def _as_numbers(change: Any) -> dict[str, Any]:
+    """One change for a program: numbers in the metric's unit, what is infinite or not known is encoded as null."""
+    found = change.found
+    return {
+        "method": change.method, "metric": change.metric.name, "unit": change.metric.unit, "change": found.effect,
+        "low": found.low, "high": found.high, "p": change.p, "clusters": found.clusters, "word": change.word,
+    }  # fmt: skip
+
+
+def tell_left_out(line: str) -> None:
+    """Tell a person what could not be read, or is not there to be shown."""
+    Account().print(f"left out: {line}", markup=False, soft_wrap=True)
+
+
+def results(
+    folder: Path, left_out: Callable[[str], None] | None = None
+) -> tuple[list[Any], dict[str, Any], Any]:  # fmt: skip
+    """Rows, configuration and suite of the results in `folder`; of a run under way, what is done of it.
+
+    `left_out` is told of what cannot be read where the rest can be; without it, and where nothing can be read, raises
+    `InvalidSetup`.
+    """
+    from dualbrain.evaluation.runner import CONFIG, suite_of
     from dualbrain.evaluation.table_file import FILE, read_table
 
-    path, written, journal = folder / FILE, folder / CONFIG, folder / "fly.jsonl"
-    if written.is_file() and journal.is_file() and not _is_newer(path, journal):
-        config = msgspec.json.decode(written.read_bytes())
-        suite = msgspec.convert(config["suite"], Suite)
-        rows = Runner(suite, folder, clock=time.monotonic, tell=lambda progress: None).rows()
-        if rows:
-            return rows, config, suite
+    path, journal = folder / FILE, folder / "fly.jsonl"
+    if (folder / CONFIG).is_file() and journal.is_file() and not _is_newer(path, journal):
+        try:
+            found = _under_way(folder, left_out)
+            if found[0]:
+                return found
+        except InvalidSetup as why:
+            if left_out is None or not path.is_file():
+                raise
+            left_out(f"What was flown since {FILE} was written ({why})")
     if not path.is_file():
-        fix = f"Fly them first: dualbrain evaluate --out {folder}"
-        raise InvalidSetup("results", got="none", allowed=f"a folder with {FILE}", fix=fix)
+        raise _no_results(folder)
     rows, config = read_table(path)
-    return rows, config, msgspec.convert(config["suite"], Suite)
+    return rows, config, suite_of(config, path)
+
+
+def _under_way(folder: Path, left_out: Callable[[str], None] | None) -> tuple[list[Any], dict[str, Any], Any]:
+    """Rows, configuration and suite as the journals have them; raises `InvalidSetup`."""
+    from dualbrain.evaluation.runner import CONFIG, Runner, read_config, suite_of
+
+    config = read_config(folder / CONFIG)
+    suite = suite_of(config, folder / CONFIG)
+    runner = Runner(suite, folder, clock=time.monotonic, tell=lambda progress: None)
+    return runner.rows(left_out), config, suite
+
+
+def _no_results(folder: Path) -> InvalidSetup:
+    """Why there are no results in `folder`, and by which command they come."""
+    from dualbrain.dashboard.evaluation_page import PAGE
+    from dualbrain.evaluation.runner import CONFIG, read_config, suite_of
+    from dualbrain.evaluation.table_file import FILE
+
+    got, fix = "none", f"Fly them first: dualbrain evaluate --suite SUITE --out {folder}"
+    if folder.is_file():
+        got, fix = "a file", "Name the folder that it lies in."
+    elif (folder / CONFIG).is_file():
+        suite = suite_of(read_config(folder / CONFIG), folder / CONFIG)
+        got, fix = "no episode that is finished", f"Go on with it: {_command(suite, str(folder))}"
+    elif (folder / PAGE).is_file():
+        got = "a page without its table"
+        fix = f"The page names the command by which it was flown: fly that into another folder. {folder / PAGE}"
+    return InvalidSetup("results", got=got, allowed=f"a folder with {FILE}", fix=fix)
 
 
 def _is_newer(table: Path, journal: Path) -> bool:
@@ -136,6 +189,10 @@ def command_of(suite: Any, folder: Path) -> str:
 
     What no options lead to came from a file.
     """
+    return _command(suite, folder.name)
+
+
+def _command(suite: Any, out: str) -> str:
     from dualbrain.cli.evaluate import narrowed
     from dualbrain.evaluation.suite import open_suite, shipped
 
@@ -148,12 +205,11 @@ def command_of(suite: Any, folder: Path) -> str:
         options |= {"robots": ",".join(suite.robots)} if suite.robots != ours.robots else {}
         options |= {"episodes": str(suite.episodes)} if suite.episodes != ours.episodes else {}
         again = {name: options.get(name, "") for name in ("methods", "robots", "planner")}
-        if narrowed(suite.name, episodes=int(options.get("episodes", 0)), **again) == suite:
-            said = [word for name, value in options.items() for word in (f"--{name}", value)]
-            return " ".join(["dualbrain evaluate --suite", suite.name, *said, "--out", folder.name])
-    return (
-        f"dualbrain evaluate --suite FILE.toml --out {folder.name}  # FILE.toml: the suite in {folder.name}/config.json"
-    )
+        with suppress(DualbrainError):  # what was flown by another version may be refused by this one
+            if narrowed(suite.name, episodes=int(options.get("episodes", 0)), **again) == suite:
+                said = [word for name, value in options.items() for word in (f"--{name}", value)]
+                return " ".join(["dualbrain evaluate --suite", suite.name, *said, "--out", out])
+    return f"dualbrain evaluate --suite FILE.toml --out {out}  # FILE.toml: the suite in {out}/config.json"
 
 
 def _shots(rows: list[Any], suite: Any, count: int, account: Account) -> list[Any]:

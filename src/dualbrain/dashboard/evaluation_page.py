@@ -11,20 +11,19 @@ from dualbrain.evaluation.markdown import page
 from dualbrain.evaluation.words import headline
 
 PAGE = "report.md"
+FAILURE = re.compile(r"\((failure_[0-9]+\.jpg)\)")
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!&])")
 
 
 def write_page(folder: Path, told: Told) -> None:
     """Write report.md, and what it shows, into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("failure_*.jpg"):  # of a larger gallery
-        old.unlink()
+    replaced = _shown(folder / PAGE) if told.gallery else set[str]()
     lines = ["## Pictures", ""]
-    for name, title, chart in (
-        ("curves", "Over repetitions: mean with its 95 % interval", told.curves),
-        ("traces", f"One place: {traced(told)}", told.traces),
-        ("latencies", f"Latency: {LATENCY}", told.latencies),
-    ):
+    charts = [("curves", "Over repetitions: mean with its 95 % interval", told.curves)]
+    charts += [("traces", f"One place: {traced(told)}", told.traces)] if told.traced else []
+    charts += [("latencies", f"Latency: {LATENCY}", told.latencies)]
+    for name, title, chart in charts:
         folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")
         lines += [f"{literal(title)}", "", f"![{name}]({name}.svg)", ""]
     for number, shot in enumerate(told.gallery, start=1):
@@ -35,6 +34,13 @@ def write_page(folder: Path, told: Told) -> None:
     lines += ["## Where this comes from", "", *(f"- {name}: {literal(fact)}" for name, fact in facts(told).items()), ""]
     whole = page(f"Evaluation {told.suite.name}", about(told), told.grids)
     folder.joinpath(PAGE).write_text(whole + "\n" + "\n".join(lines), encoding="utf-8")
+    for old in replaced - _shown(folder / PAGE):  # of a larger gallery
+        folder.joinpath(old).unlink(missing_ok=True)
+
+
+def _shown(page: Path) -> set[str]:
+    """The pictures of failures that a page shows; none where there is no page yet."""
+    return set(FAILURE.findall(page.read_text(encoding="utf-8", errors="replace"))) if page.is_file() else set()
 
 
 def about(told: Told) -> list[str]:

@@ -52,6 +52,8 @@ class Shot:
 class Told:
     """What a report is made of; `kept` are the answers of all questions that were really asked.
 
+    `left_out` says what lies there and could not be read or shown.
+
     Tables and charts are made once, for both forms of a report.
     """
 
@@ -62,6 +64,7 @@ class Told:
     gallery: Sequence[Shot] = ()
     date: str = ""
     command: str = ""
+    left_out: Sequence[str] = ()
 
     @cached_property
     def found(self) -> list[Answer]:
@@ -76,7 +79,12 @@ class Told:
     @cached_property
     def missing(self) -> list[str]:
         """What was not measured."""
-        return missing(self.rows, self.suite, adapters_of(self.config))
+        return [*missing(self.rows, self.suite, adapters_of(self.config)), *self.left_out]
+
+    @property
+    def traced(self) -> str:
+        """The place of the chart of one place, "" where no row has kept its curves."""
+        return traced_pair(self.rows)
 
     @cached_property
     def curves(self) -> Html:
@@ -109,7 +117,7 @@ def render_evaluation(told: Told) -> str:
         _grid(rest[0]),
         _card("Over repetitions", told.curves, "mean with its 95 % interval; a scene is repeated in its run"),
         *map(_grid, rest[1:4]),
-        _card("One place", told.traces, traced(told)),
+        *([_card("One place", told.traces, traced(told))] if told.traced else []),
         _gallery(told.gallery),
         _card("Latency", told.latencies, LATENCY),
         *map(_grid, rest[4:]),

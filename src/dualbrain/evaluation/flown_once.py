@@ -33,7 +33,10 @@ class FlownOnce:
         path = self._path(case, method, planner)
         if method.remembers or not path.exists():
             return None
-        row = msgspec.json.decode(path.read_bytes(), type=Row)
+        try:
+            row = msgspec.json.decode(path.read_bytes(), type=Row)
+        except msgspec.DecodeError:
+            return None  # damaged: flown again, and kept anew
         if row.key == key:  # flown before, and killed before it stood in the journal
             return row
         return msgspec.structs.replace(row, key=key, method=method.name, asked=False, same_as=row.key)

@@ -20,10 +20,14 @@ class Journal:
 
     def lines(self) -> list[Line]:
         """Every whole line."""
-        found: list[Line] = []
-        for line in self.path.read_bytes().splitlines() if self.path.exists() else ():
+        return [line for _, line in self.numbered()]
+
+    def numbered(self) -> list[tuple[int, Line]]:
+        """Every whole line with its number, as an editor counts."""
+        found: list[tuple[int, Line]] = []
+        for number, line in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
             try:
-                found.append(msgspec.json.decode(line, type=Line))
+                found.append((number, msgspec.json.decode(line, type=Line)))
             except msgspec.DecodeError:
                 continue  # cut off by a kill: its episode is flown again
         return found

@@ -35,6 +35,8 @@ def missing(rows: Sequence[Row], suite: Suite, adapters: Mapping[str, Cost] | No
         f"What {part} learns from its own proposals (H3): others proposed what its adapter was taught, too."
         for part, cost in (adapters or {}).items() if part.startswith("adapted") and cost.bootstrapped
     ]  # fmt: skip
+    if not any(row.trace_t for row in rows):
+        said.append("Curves of h and δ over time, and pictures of failures, chosen by them: no row here has kept any.")
     names = {row.planner for row in rows}
     if DRAWN in names:
         said.append("A language model: the planner `template` draws its contracts, and is none.")

@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from dualbrain.adaptation.adapters import Adapters
-from dualbrain.adaptation.serving.layers import stack_of
+from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
+from dualbrain.adaptation.serving.layers import layers_of, stack_of
 from dualbrain.adaptation.serving.names import folder_of, is_adapter, without_engine
 from dualbrain.adaptation.serving.opening import unbinds
+from dualbrain.errors import MissingPart
 from dualbrain.evaluation.method import find_method
-from dualbrain.evaluation.planners import Sources, planner_name
+from dualbrain.evaluation.planners import Sources, asked_behind, planner_name
 from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.table_file import require_tables
 from dualbrain.evaluation.unit import Unit
 from dualbrain.memory.encoder import ENCODER, TOKENIZER
 from dualbrain.planner.registry import planner_names
+from dualbrain.runtime.vocabulary import vocabulary
 from dualbrain.weights import locate
+
+
+def require_adapters(suite: Suite, units: Iterable[Unit], sources: Sources) -> None:
+    """Raise for the first adapter of `suite` that is not here, or was not taught a robot that one of `units` has.
+
+    The models below need not be here. Raises `UnknownName`, `InvalidSetup`.
+    """
+    named = {(name, "") for name in suite.planners.values()}
+    named |= {(planner_name(suite, find_method(unit.method)), unit.robot) for unit in units}
+    for name, robot in sorted(named):
+        for adapter in filter(is_adapter, asked_behind(name)):
+            card = layers_of(folder_of(adapter, Adapters(sources.adapters), robot))[-1].card
+            require_prompt(card)
+            if robot:
+                require_fit(card, robot, vocabulary(robot).hash)
 
 
 def require_parts(suite: Suite, units: Iterable[Unit], sources: Sources) -> None:
@@ -47,3 +66,5 @@ def require_planner(name: str, robot: str, sources: Sources) -> None:
         stack_of(folder_of(core, Adapters(sources.adapters), robot), sources.cache)
     elif core in planner_names():
         locate(core, sources.cache)
+    elif core.endswith(".gguf") and "://" not in core and not Path(core).is_file():
+        raise MissingPart(f"The model file of {name!r}", fix="Name a GGUF file that exists.")

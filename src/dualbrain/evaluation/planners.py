@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
-from dualbrain.adaptation.serving.names import is_adapter, without_engine
+from dualbrain.adaptation.serving.names import PREFIX, SHADOW, is_adapter, shadow_parts, without_engine
 from dualbrain.adaptation.serving.opening import open_planner, open_unbound, unbinds
-from dualbrain.errors import InvalidSetup
+from dualbrain.adaptation.serving.packaged import packaged_names
+from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.adversary import Adversary
-from dualbrain.evaluation.method import Method
+from dualbrain.evaluation.method import Asks, Method
 from dualbrain.evaluation.plans import KeepingPlanner, Plans
 from dualbrain.evaluation.prompted import PromptedPlanner
 from dualbrain.evaluation.spoiled import SpoiledPlanner
 from dualbrain.evaluation.suite import Suite
 from dualbrain.evaluation.template import TemplatePlanner
+from dualbrain.planner import registry as plain
 from dualbrain.planner.protocol import Planner
 from dualbrain.runtime.vocabulary import vocabulary
 
 DRAWN = ("template", "adversary")
 """Planners that draw their answers: there is nothing to wait for, and no latency to measure."""
 CHANGING = "adapter:champion"
+PARTS = tuple(part for part in get_args(Asks) if part not in DRAWN)
+"""What a suite names planners for, whether or not one of its methods asks for it."""
+ALSO = (f"{PREFIX}ID", f"{PREFIX}FOLDER", "transformers:NAME", "http://HOST/v1#MODEL", "FILE.gguf")
+"""Names of planners that have no list."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +60,16 @@ def planner_name(suite: Suite, method: Method) -> str:
 
 
 def check_planners(suite: Suite) -> None:
-    """Refuse a suite in which a method has nobody to ask: before it is flown, as planners may be named that late."""
+    """Refuse planners that are none, and a suite in which a method has nobody to ask: before it is flown.
+
+    Raises `UnknownName`, `InvalidSetup`. Whether an adapter is here is not looked at (`parts.require_adapters`).
+    """
+    for part, planner in suite.planners.items():
+        if part not in PARTS:
+            raise UnknownName("part", part, PARTS, owner="a suite's planners")
+        _require_planner(planner)
+    if suite.memory.pilot and "base" not in suite.planners:
+        raise InvalidSetup("planner of the pilot", got=sorted(suite.planners), allowed="base", fix="Name it.")
     for arm in suite.arms:
         if arm.asks not in (*suite.planners, "adversary"):
             fix = f"Name it: --planner {arm.asks}=adapter:ID (or in [planners] of the suite), or leave out {arm.name}."
@@ -61,9 +77,27 @@ def check_planners(suite: Suite) -> None:
         if not arm.bound and not unbinds(planner := suite.planners[arm.asks]):
             fix = f"Leave out {arm.name}."
             raise InvalidSetup(f"planner of {arm.name}", got=planner, allowed="one that runs here", fix=fix)
-    if CHANGING in suite.planners.values():
+    if any(CHANGING in asked_behind(planner) for planner in suite.planners.values()):
         fix = "Name the adapter by its id: `dualbrain adapters list`."
         raise InvalidSetup(f"planners of suite {suite.name}", got=CHANGING, allowed="what stays the same", fix=fix)
+
+
+def asked_behind(name: str) -> tuple[str, ...]:
+    """All who are asked by the name of a planner, whatever runs them: a candidate in the shadow is asked too."""
+    return tuple(map(without_engine, shadow_parts(name) if name.startswith(SHADOW) else (name,)))
+
+
+def _require_planner(name: str) -> None:
+    """Raise `UnknownName` unless `name` means a planner, `InvalidSetup` for an address that leads nowhere."""
+    for whole, core in zip(shadow_parts(name) if name.startswith(SHADOW) else (name,), asked_behind(name), strict=True):
+        if core in plain.planner_names() or (is_adapter(core) and core != PREFIX):
+            continue
+        alone = whole == core  # no other engine runs what is no model of ours
+        if alone and "://" in core:
+            plain.open_planner(core, Path()).close()  # looks at the address, and asks nobody
+        elif not (alone and (name in DRAWN or core.endswith(".gguf"))):
+            known = (*DRAWN, *plain.planner_names(), *packaged_names(), *ALSO)
+            raise UnknownName("planner", name, known, owner="the evaluation")
 
 
 class Planners:

@@ -51,9 +51,9 @@ class Plans:
         self.folder = folder
 
     def find(self, planner: str, request: PlanRequest) -> Proposal | None:
-        """The answer that was kept, if there is one."""
-        path = self._path(planner, request)
-        return msgspec.json.decode(path.read_bytes(), type=Kept).proposal if path.exists() else None
+        """The answer that was kept, if there is one; a damaged one is none, and is asked for again."""
+        kept = _read(self._path(planner, request))
+        return kept.proposal if kept else None
 
     def keep(self, planner: str, request: PlanRequest, proposal: Proposal) -> None:
         """Keep `proposal`, unless it is the mark of an accident: that is asked again."""
@@ -63,13 +63,25 @@ class Plans:
         self.folder.mkdir(parents=True, exist_ok=True)
         write_durably(path, msgspec.json.encode(Kept(planner, path.stem, proposal)))
 
-    def all(self) -> list[Kept]:
-        """Every answer, by hash of its question."""
+    def all(self, left_out: Callable[[str], None] = lambda told: None) -> list[Kept]:
+        """Every answer, by hash of its question; `left_out` is told of each file that holds none."""
         files = sorted(self.folder.glob("*.json")) if self.folder.is_dir() else []
-        return [msgspec.json.decode(file.read_bytes(), type=Kept) for file in files]
+        read = [(file, _read(file)) for file in files]
+        for file, kept in read:
+            if kept is None:
+                left_out(f"The answer in {file.parent.name}/{file.name}, which is damaged.")
+        return [kept for _, kept in read if kept is not None]
 
     def _path(self, planner: str, request: PlanRequest) -> Path:
         return self.folder / f"{question_hash(planner, request)}.json"
+
+
+def _read(path: Path) -> Kept | None:
+    """What is kept at `path`, None where nothing is or what is there cannot be read."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Kept)
+    except (FileNotFoundError, msgspec.DecodeError):
+        return None
 
 
 def question_hash(planner: str, request: PlanRequest) -> str:

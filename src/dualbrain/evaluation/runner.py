@@ -49,6 +49,16 @@ class Progress:
 
 
 Tell = Callable[[Progress], None]
+LeftOut = Callable[[str], None]
+"""Is told what could not be read and was left out."""
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A line of the plan pass: whether the question was really asked, and how long it took [s]."""
+
+    key: str
+    asked: int
+    planner_s: float
 
 
 class Runner:
@@ -66,7 +76,7 @@ class Runner:
         """
         config, path = resolved(self.suite, origin, adapters or {}), self.out / CONFIG
         if path.exists():
-            _same(msgspec.json.decode(path.read_bytes()), config, path)
+            _same(read_config(path), config, path)
         return config
 
     def prepare(self, origin: dict[str, Any], adapters: dict[str, Cost] | None = None) -> None:
@@ -77,7 +87,7 @@ class Runner:
 
     def left(self, stage: Stage) -> list[Unit]:
         """Units of a pass that are not over, each with what is done of it."""
-        done = {line["key"] for line in self.journal(stage).lines()}
+        done = {line["key"] for line in self.lines(stage)}
         units: list[Unit] = []
         for unit in units_of(self.suite, stage):
             whole = 0
@@ -110,6 +120,27 @@ class Runner:
         """The journal of a pass."""
         return Journal(self.out / f"{name}.jsonl")
 
+    def lines(self, stage: Stage, left_out: LeftOut | None = None) -> list[dict[str, Any]]:
+        """The lines of a pass's journal, each with everything that belongs into it.
+
+        One that lacks something is no trace of a kill: it raises `InvalidSetup`, or is told to `left_out`.
+        """
+        journal, kind, found = self.journal(stage), Asked if stage == "plan" else Row, list[dict[str, Any]]()
+        for number, line in journal.numbered():
+            try:
+                msgspec.convert(line, kind)
+            except msgspec.ValidationError as error:
+                if left_out is None:
+                    again = "Delete it (where memory grows, all lines of its run): what it told is flown again."
+                    raise InvalidSetup(
+                        f"line {number} of {journal.path.name}", got=str(error), allowed="a line as it was written",
+                        fix=f"{again} {journal.path}",
+                    ) from error  # fmt: skip
+                left_out(f"Line {number} of {journal.path.name} ({error}).")
+            else:
+                found.append(line)
+        return found
+
     def epsilon(self) -> dict[str, float]:
         """ε by robot: of the suite, or frozen once and for all from the pilot episodes."""
         wanted = self.suite.memory.epsilon
@@ -118,16 +149,46 @@ class Runner:
             return dict.fromkeys(robots, wanted)
         path = self.out / EPSILON
         if path.exists():
-            return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
-        found = pilot_epsilon(rows_of(self.journal("pilot").lines()), robots)
+            return _frozen_epsilon(path)
+        found = pilot_epsilon(rows_of(self.lines("pilot")), robots)
         write_durably(path, msgspec.json.encode(found))
         return found
 
-    def rows(self) -> list[Row]:
-        """Every finished episode, in the order of the suite."""
-        lines = {line["key"]: line for line in self.journal("fly").lines()}
+    def rows(self, left_out: LeftOut | None = None) -> list[Row]:
+        """Every finished episode, in the order of the suite; `left_out` as for `lines`."""
+        lines = {line["key"]: line for line in self.lines("fly", left_out)}
         keys = [unit.row_key(order) for unit in units_of(self.suite, "fly") for order in range(unit.count)]
         return rows_of(lines[key] for key in keys if key in lines)
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The configuration at `path`; raises `InvalidSetup`."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except msgspec.DecodeError as error:
+        raise _damaged(path, error) from error
+
+
+def suite_of(config: dict[str, Any], path: Path) -> Suite:
+    """The suite in the configuration that was read from `path`; raises `InvalidSetup`."""
+    try:
+        return msgspec.convert(config.get("suite"), Suite)
+    except msgspec.ValidationError as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InvalidSetup:
+    fix = f"Bring back a copy, or name another --out. {path}"
+    return InvalidSetup("configuration of the results", got=str(error), allowed="as it was written", fix=fix)
+
+
+def _frozen_epsilon(path: Path) -> dict[str, float]:
+    """ε by robot as it was frozen; raises `InvalidSetup`."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
+    except msgspec.DecodeError as error:
+        fix = f"Delete it: it is found again from the same pilot. {path}"
+        raise InvalidSetup("frozen epsilon", got=str(error), allowed="a number by robot", fix=fix) from error
 
 
 def rows_of(lines: Iterable[dict[str, Any]]) -> list[Row]:

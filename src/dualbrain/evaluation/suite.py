@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from importlib import resources
+from itertools import product
+from math import inf
 from pathlib import Path
 from typing import Literal
 
@@ -11,10 +15,12 @@ import msgspec
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.seeds import PILOT, START, TEST
-from dualbrain.world.families import Ask, Level, families_of
+from dualbrain.world.families import Ask, Level, families_of, shown_by_depth
 
 SUFFIX = ".toml"
 FROM_PILOT = "pilot"
+PLAIN = r"\w[\w .-]*"
+"""How a suite may be called."""
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -109,6 +115,13 @@ class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether `method` flies `task`: every one does, unless the task names its own."""
         return not task.methods or method in task.methods
 
+    def clusters(self, method: str) -> int:
+        """Units of statistics of `method`: runs, and of what is to be declined sentences, at most one an episode."""
+        return sum(
+            len(self.robots_of(task)) * (self.runs if task.ask == "errand" else self.episodes)
+            for task in self.tasks if self.flies(method, task)
+        )  # fmt: skip
+
 
 def is_due(every: int, repetition: int) -> bool:
     """Whether what is done every so many-th repetition, or never (0), is done in this one: the same for all methods."""
@@ -148,15 +161,31 @@ def read_suite(data: bytes, name: str) -> Suite:
 def check_suite(suite: Suite) -> None:
     """Refuse a suite that cannot be flown as it is meant; raises `InvalidSetup` and `UnknownName`."""
     _ = suite.arms
-    for check in (_check_tasks, _check_numbers, _check_memory):
+    for check in (_check_name, _check_once, _check_tasks, _check_eyes, _check_numbers, _check_memory):
         check(suite)
+
+
+def _check_name(suite: Suite) -> None:
+    """The name becomes that of a folder."""
+    if not re.fullmatch(PLAIN, suite.name):
+        allowed = "letters, digits, spaces and . _ -, beginning with a letter or digit"
+        raise InvalidSetup("name of the suite", got=suite.name, allowed=allowed)
+
+
+def _check_once(suite: Suite) -> None:
+    """What is named twice would be flown once and counted twice."""
+    named = {"methods": suite.methods, "robots": suite.robots, "tasks": tuple(task.name for task in suite.tasks)}
+    for task in suite.tasks:
+        named |= {f"methods of {task.name}": task.methods, f"robots of {task.name}": task.robots}
+    for what, names in named.items():
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise InvalidSetup(f"{what} of suite {suite.name}", got=f"{', '.join(twice)} twice", allowed="each once")
 
 
 def _check_tasks(suite: Suite) -> None:
     if not suite.tasks or not suite.methods or not suite.robots:
         raise InvalidSetup(f"suite {suite.name}", got="nothing to do", allowed="tasks, methods and robots")
-    if len({task.name for task in suite.tasks}) < len(suite.tasks):
-        raise InvalidSetup(f"tasks of suite {suite.name}", got=[t.name for t in suite.tasks], allowed="each once")
     for task in suite.tasks:
         for method in task.methods:
             find_method(method)
@@ -168,10 +197,23 @@ def _check_tasks(suite: Suite) -> None:
             raise InvalidSetup(f"tasks of suite {suite.name}", got=got, allowed="tasks that one of its robots can have")
 
 
+def _check_eyes(suite: Suite) -> None:
+    """Depth cameras tell no person and no room: such a task is not for a method that has nothing else to see with."""
+    for arm, task in product([arm for arm in suite.arms if arm.eyes == "depth"], suite.tasks):
+        hidden = [robot for robot in suite.robots_of(task) if not shown_by_depth(task.family, task.level, robot)]
+        if suite.flies(arm.name, task) and hidden:
+            fix = f"Leave out {arm.name}, or name the task's methods without it."
+            raise InvalidSetup(f"task of {arm.name}", got=task.name, allowed="a table without people", fix=fix)
+
+
 def _check_numbers(suite: Suite) -> None:
     if min(suite.seeds, suite.repetitions, suite.runs, suite.shots) < 1 or suite.runs > suite.seeds:
         got = (suite.seeds, suite.repetitions, suite.runs)
         raise InvalidSetup("seeds, repetitions, runs", got=got, allowed="at least 1 each, and no more runs than seeds")
+    if not 0.0 <= suite.planning_time < inf:
+        raise InvalidSetup("planning_time", got=suite.planning_time, allowed="seconds of the simulation, at least 0")
+    if suite.gallery < 0:
+        raise InvalidSetup("gallery", got=suite.gallery, allowed="a number of pictures, 0 for none")
     for what, every in (("bare", suite.bare), ("free", suite.free), ("memory utility", suite.memory.utility)):
         if every < 0:
             raise InvalidSetup(what, got=every, allowed="every so many-th repetition, or 0 for never")
@@ -188,3 +230,5 @@ def _check_memory(suite: Suite) -> None:
     if pilot != bool(memory.pilot) or (not pilot and not isinstance(memory.epsilon, float)):
         allowed = 'a number, or "pilot" with pilot episodes'
         raise InvalidSetup("epsilon", got=(memory.epsilon, memory.pilot), allowed=allowed)
+    if isinstance(memory.epsilon, float) and not 0.0 <= memory.epsilon < inf:
+        raise InvalidSetup("epsilon", got=memory.epsilon, allowed="at least 0")

@@ -48,7 +48,7 @@ class DepthPerception:
 
     def __init__(self, spec: SceneSpec, camera: DepthCamera) -> None:
         """Perception through `camera`; raises `InvalidSetup` for a scene with a person or a room to drive in."""
-        if spec.mover is not None or spec.region:
+        if not spec.depth_shows:
             raise InvalidSetup("scene for depth perception", got=spec.family, allowed="a table without people")
         self._robot, self._places, self._camera = spec.robot, spec.places, camera
         self._map = tuple(

@@ -113,6 +113,12 @@ def families_of(robot: str) -> tuple[str, ...]:
     return tuple(name for name, family in FAMILIES.items() if family.mobile == drives)
 
 
+def shown_by_depth(family: str, level: Level, robot: str) -> bool:
+    """Whether depth cameras alone can show every scene of `family`: one of each of its generators tells."""
+    about = FAMILIES[family]
+    return all(about.scene(level, turn, robot).depth_shows for turn in range(len(about.generators[level])))
+
+
 def assign(family: str, level: Level, seed: int, robot: str, ask: Ask = "errand") -> Assignment:
     """What is asked of `robot` in scene `seed`; the same arguments always give the same. Raises `UnknownName`."""
     known = families_of(robot)

@@ -104,6 +104,11 @@ class SceneSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """What a base may drive on: the map's floor, or without a map the whole room."""
         return self.chart.floor if self.chart else self.region
 
+    @property
+    def depth_shows(self) -> bool:
+        """Whether depth cameras alone can show it: a table without people, for they know no person and no room."""
+        return self.mover is None and not self.region
+
     def find(self, name: str) -> Thing:
         """The thing called `name`; raises `UnknownName`."""
         for thing in self.things:
