@@ -33,14 +33,20 @@ def hash_of_base(name: str) -> str:
     return read_adapter_card(packaged_folder(name)).id if name in packaged_names() else find_file(name).sha256
 
 
+def require_base(name: str) -> None:
+    """Raise `UnknownName` unless `name` is a language model of the manifest or a packaged adapter."""
+    models = tuple(file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))
+    if name not in (known := (*models, *packaged_names())):
+        raise UnknownName("base", name, known)
+
+
 def find_base(name: str, cache: Path) -> Base:
     """The base called `name`, a language model of the manifest or a packaged adapter; every file as it is named.
 
     Raises `UnknownName`, `MissingPart`, `WrongHash`, `InvalidSetup`.
     """
+    require_base(name)
     if name not in packaged_names():
-        if name not in (models := tuple(file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))):
-            raise UnknownName("base", name, (*models, *packaged_names()))
         return Base(name, locate(name, cache), find_file(name).sha256)
     stack = stack_of(packaged_folder(name), cache)
     folders = tuple(layer.folder for layer in stack.layers)

@@ -46,10 +46,10 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
     """
     if name not in _MAKERS:
         raise UnknownName("shipped adapter", name, tuple(_MAKERS))
-    from dualbrain.cli.adapt import adapt_with_torch
+    from dualbrain.cli.adapt import adapt_with_torch, kept_in
 
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    with team_here(adapt_with_torch, out) as team:
+    with team_here(adapt_with_torch, out) as team, kept_in(folder, account_of(team)):
         card = _MAKERS[name](folder, team)
         if json and team.rank == 0:
             tell(card)
