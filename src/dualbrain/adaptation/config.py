@@ -51,8 +51,8 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `warm_up` steps and falls along a cosine to a tenth of it. `clip` bounds the norm of the gradient. `rank` and
     `alpha` are LoRA's r and α. Every `save_every` steps a checkpoint is written, and the held-out part is asked (at
     most `ask_at_most` questions); after `patience` rounds without progress it stops. `keep` the best of them, or the
-    last, whatever it is, after all steps. `precision` "auto" is bf16 where the device multiplies in it, else float32.
-    `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
+    last, whatever it is, after all steps: then it is asked once, at the end. `precision` "auto" is bf16 where the
+    device multiplies in it, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
     """
 
     steps: int = 120
