@@ -59,7 +59,9 @@ def not_taught(card: DatasetCard, folder: Path, number: int) -> str:
     The vocabulary, the prompt and the dials are those of today, and the ledger is the day's.
     """
     registry = vocabulary(ROBOT)
-    made = {"form": FORM, "robot": ROBOT, "registry": registry.hash, "also": {}, "site": "", "memories": number}
+    made: dict[str, object] = {
+        "form": FORM, "robot": ROBOT, "registry": registry.hash, "also": {}, "site": "", "memories": number,
+    }  # fmt: skip
     others = [made_otherwise(card, made), other_dials(card, DIALS.curation)]
     if not _of_day(card, folder):
         others.append(f"ledger {card.ledger[:16] or 'none'}, now that of {folder}")
