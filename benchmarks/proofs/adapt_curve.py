@@ -69,7 +69,7 @@ TAUGHT: dict[str, tuple[bool, ObjectiveDials]] = {
     "EAFT's gate": (True, msgspec.structs.replace(PLAIN, entropy_gate="token")),
 }
 """By arm: whether only clean episodes are taught, and the objective. Nothing was recalled in the flights, so that all
-memories have one weight, and λ_w moves nothing here."""
+memories have the weight of a new one, and λ_w tells no samples apart; no arm leaves it out."""
 Prompt = Literal["short", "example", "long"]
 ASKED_ONLY: dict[str, Prompt] = {"base": "short", "base, worked example": "example", "base, long prompt": "long"}
 """Arms without a fit, by their prompt: as it was taught; with a worked example in it; rules, skills and examples."""
@@ -84,8 +84,10 @@ class AdaptCurve:
     name = "adapt_curve"
     claim = (
         f"From {FLIGHTS} random valid proposals, each carried out once: free one-shot compliance, right skills, right "
-        f"things, and parameters that the filter leaves alone, by arm, after {HALFWAY} and {STEPS} steps of {BATCH}."
+        f"things, and parameters that the filter leaves alone, by arm, after {HALFWAY} and {STEPS} steps of {BATCH}. "
+        "All memories have one weight: of the objective's three parts the memory weight is at rest, in every arm."
     )
+    intervals = f"Student's t over {len(SEEDS)} seeds, 95 %, none for an arm of one seed"
 
     def units(self, options: Options) -> list[Unit]:
         """The arms that need no fit, then seed by seed the whole fits, then the shorter ones."""
@@ -125,7 +127,8 @@ class AdaptCurve:
             mine = [row for row in rows if (row["steps"], row["arm"]) == (steps, arm)]
             told = (interval([_share(row, belongs) for row in mine]) for belongs in PARTS.values())
             parts.append((arm, steps, *told, *cost(mine)))
-        return lines + table(("arm", "steps", *PARTS, "samples", "processor s of a fit"), parts)
+        lines += table(("arm", "steps", *PARTS, "samples", "processor s of a fit"), parts)
+        return [*lines, *NOTES, ""]
 
 
 # --- teaching ---------------------------------------------------------------------------------------------------------
@@ -285,3 +288,14 @@ def interval(values: list[float]) -> str:
         else math.nan
     )
     return f"{mean:.0%}" if math.isnan(half) else f"{mean:.0%} ± {half:.0%}"
+
+
+NOTES = (
+    f"Shares are of the same {len(SLICES) * A_SLICE} questions for all. ± is the spread over seeds, of proposals and "
+    "fit together; that these questions were drawn and not others is in no interval, and the base has none at all. "
+    f"`quiet` is of at most {len(SLICES) * CARRIED_OUT} flights an arm and seed: the first {CARRIED_OUT} right deeds "
+    "of each slice of the questions, so that arms fly different ones. "
+    f"`valid draws` is of {DRAWS} answers an arm and seed, one drawn for each of {DRAWS} questions. "
+    "Answers are torch's (`benchmarks/proofs/speaker.py`), not those of llama.cpp, which serves.",
+)
+"""What the tables do not show."""

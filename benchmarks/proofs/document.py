@@ -22,6 +22,7 @@ from proofs.proof import Proof, Row
 
 PICTURE = "![Δ by contract, family and seed](learnable.png)"
 PICTURES = "images"
+WILSON = "Wilson, 95 %"
 BEGIN, END = "<!-- figures: written by `make prove`, not by hand -->", "<!-- end of figures -->"
 
 
@@ -37,7 +38,7 @@ def write_documents(proofs: Iterable[Proof], folder: Path, docs: Path) -> None:
         rows = [row for row in Journal(folder / f"{proof.name}.jsonl").rows() if "error" not in row]
         if not rows:
             continue
-        section = [f"{proof.claim}", "", provenance(rows), "", *proof.report(rows)]
+        section = [f"{proof.claim}", "", provenance(rows, _intervals(proof)), "", *proof.report(rows)]
         if proof.name == "sweep":
             _between(docs / "learnable.md", [PICTURE, "", *section])
             plot(families(rows), docs / "learnable.png")
@@ -65,8 +66,13 @@ def _standing(page: Path) -> dict[str, list[str]]:
     return {name: text.strip("\n").split("\n") for name, text in zip(parts[::2], parts[1::2], strict=True)}
 
 
-def provenance(rows: list[Row]) -> str:
-    """Dates, revisions, machine, load and processor time of the rows."""
+def _intervals(proof: Proof) -> str:
+    """What its intervals are: what it says itself, else those of proportions (`figures.wilson`)."""
+    return getattr(proof, "intervals", WILSON)
+
+
+def provenance(rows: list[Row], intervals: str = WILSON) -> str:
+    """Dates, revisions, machine, load and processor time of the rows; what their intervals are."""
     dates, loads = sorted({row["date"] for row in rows}), [row["load"] for row in rows if "load" in row]
     revisions = ", ".join(f"{name} ({count})" for name, count in Counter(row["revision"] for row in rows).items())
     days = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
@@ -74,7 +80,7 @@ def provenance(rows: list[Row]) -> str:
     busy = f", median load {median(loads):.1f}" if loads else ""
     return (
         f"*{len(rows)} units, {days}; revision {revisions} (+: with uncommitted changes); {machine()}{busy}; "
-        f"{hours:.1f} h of workers; intervals: Wilson, 95 %. Rendered {time.strftime('%Y-%m-%d', time.gmtime())}.*"
+        f"{hours:.1f} h of workers; intervals: {intervals}. Rendered {time.strftime('%Y-%m-%d', time.gmtime())}.*"
     )
 
 

@@ -29,8 +29,10 @@ class Nights:
     name = "nights"
     claim = (
         f"What {ROUNDS} rounds lived, taught once more without the entropy term, without the KL term, without "
-        "physical selection, and selected by success alone: the adapters of the ablations."
+        "physical selection, and selected by success alone: the adapters of the ablations. All their memories have one "
+        "weight, so that λ_w tells no samples apart in any of them, and none is without it."
     )
+    intervals = "none"
 
     def units(self, options: Options) -> list[Unit]:
         """An adapter each, of the flights of the first chain of `rounds`."""

@@ -71,6 +71,7 @@ class Rounds:
         "proposals and fits is not in the intervals); before and after each, the same "
         f"{PLACES} held-out places: compliance, success, Δ, intervention, time."
     )
+    intervals = "bootstrap over places, of samples Wilson, 95 %"
 
     def units(self, options: Options) -> list[Unit]:
         """The base, then round by round every chain; of the base all chains have the same."""

@@ -54,6 +54,8 @@ def test_weights_that_were_changed_are_refused(folder):
         ({"smollm2": 3}, False),
         ({"smollm2": 3, "smollm2+0123456789abcdef": 4}, False),
         ({"smollm2": 3, "smollm2+ab12": 4}, True),  # an adapter of whose teachers nothing is known
+        ({"smollm2 in torch": 3, "smollm2": 1}, False),
+        ({"smollm2-large in torch": 3}, True),
         ({"smollm2+big": 4}, True),
         ({"smollm2": 3, "qwen": 1}, True),
         ({"smollm2-large": 1}, True),

@@ -1,10 +1,12 @@
 """The data set on disk: named by its bytes, read back as it was, refused when changed; the dials from one file."""
 
+import msgspec
 import pytest
 
-from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials, read_config
+from dualbrain.adaptation.config import SEED, WHOLE, AdaptConfig, FitDials, ObjectiveDials, read_config
 from dualbrain.adaptation.curate import Curation, curate
 from dualbrain.adaptation.dataset import CARD, HELD_OUT, TRAIN, dataset_of, read_dataset, write_dataset
+from dualbrain.adaptation.schedule import batches
 from dualbrain.errors import InvalidSetup, MissingPart
 from tests.adaptation.episodes import REGISTRY, episode, remember, several, summary
 
@@ -74,6 +76,13 @@ def test_the_dials_come_from_one_file(tmp_path):
     assert read == AdaptConfig(read.curation, ObjectiveDials(entropy_gate="token"), FitDials(steps=7))
 
 
+def test_the_largest_seed_is_one_that_all_take():
+    torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
+    torch.manual_seed(FitDials(seed=SEED).seed)
+    assert len(batches([1] * 9, FitDials(seed=SEED))) == FitDials().steps
+    assert msgspec.json.decode(msgspec.json.encode(FitDials(seed=SEED)), type=FitDials).seed == SEED
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [
@@ -83,6 +92,16 @@ def test_the_dials_come_from_one_file(tmp_path):
         ("[objective]\nbeta = -1.0\n", "beta"),
         ("[objective]\nlambda_w = nan\n", "lambda_w"),
         ('[objective]\nentropy_gate = "all"\n', "entropy_gate"),
+        *((f"[fit]\n{name} = {least - 1}\n", f"{name}.*allowed: {least} to ") for name, (least, _) in WHOLE.items()),
+        *((f"[fit]\n{name} = {most + 1}\n", f"{name}.*to {most}") for name, (_, most) in WHOLE.items()),
+        *((f"[fit]\n{name} = {value}\n", name) for name in ("rate", "clip") for value in ("0.0", "-1.0", "nan", "inf")),
+        *((f"[objective]\n{name} = inf\n", name) for name in ("lambda_w", "lambda_h", "beta")),
+        *(
+            (f"[curation.rules]\n{name} = {value}\n", name)
+            for name in ("epsilon", "slowest")
+            for value in ("nan", "inf")
+        ),
+        *((f"[curation]\nheld_out = {value}\n", "held_out") for value in ("-0.1", "nan", "1.0")),
         ("[curation]\nheld_out = 1.5\n", "held_out"),
         ("fit = [", "adaptation config"),
     ],

@@ -65,6 +65,9 @@ def test_tables_name_every_slice_and_arm(drawn):
     for arm in adapt_curve.TAUGHT:
         assert f"| {arm} | {adapt_curve.STEPS} | 3 | 100% ± 0%" in report
     assert adapt_curve.interval([0.0, 0.1, 0.2]) == "10% ± 25%"
+    for limit in ("same 60 questions", "at most 18 flights", "16 answers an arm and seed", "not those of llama.cpp"):
+        assert limit in report
+    assert "Student's t over 3 seeds" in adapt_curve.AdaptCurve.intervals
 
 
 def test_a_known_answer_holds_one_of_the_words():

@@ -25,6 +25,19 @@ def test_the_page_keeps_its_words_and_gets_new_figures(tmp_path):
     assert "old" not in text
 
 
+def test_the_page_says_what_the_intervals_of_a_proof_are(tmp_path):
+    class Bootstrapped(Counting):
+        name, intervals = "bootstrapped", "bootstrap, 90 %"
+
+    (tmp_path / "proofs.md").write_text(f"{BEGIN}\n{END}\n")
+    for name in ("counting", "bootstrapped"):
+        Journal(tmp_path / f"{name}.jsonl").append({"key": "one", "date": "2026-01-02", "revision": "abc"})
+    write_documents([Counting(), Bootstrapped()], tmp_path, tmp_path)
+    _, counting, bootstrapped = (tmp_path / "proofs.md").read_text().split("## ")
+    assert "intervals: Wilson, 95 %. " in counting
+    assert "intervals: bootstrap, 90 %. " in bootstrapped
+
+
 def test_what_was_rendered_elsewhere_stays_in_its_place(tmp_path):
     class Elsewhere(Counting):
         name = "elsewhere"

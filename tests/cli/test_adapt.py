@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -108,6 +109,56 @@ def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
     assert (code, out) == (Exit.SETUP, "")
     assert word in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("words", [("--dry-run",), ("--export", "set"), ("--out", "fit"), (), ("--when-idle",)])
+@pytest.mark.parametrize("base", ["nope", "minilm-l6-v2-int8"])
+def test_a_base_that_there_is_not_is_told_before_anything_is_written(tell, ledger, tmp_path, words, base):
+    before = contents(tmp_path)
+    code, out, err = tell("adapt", "--base", base, *words)
+    assert (code, out) == (Exit.SETUP, "")
+    assert f"'{base}' is not a base" in err
+    assert contents(tmp_path) == before
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("words", [(), ("--out", "a fit [of] mine")])
+def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(tell, ledger, tmp_path, monkeypatch, words):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "adapt_with_torch", interrupted)
+    code, _, err = tell("adapt", *words)
+    (data,) = tmp_path.rglob(CARD)
+    folder = data.parent.parent.relative_to(tmp_path)
+    assert code == Exit.INTERRUPTED
+    assert f"all is kept in {folder}\n" in err
+    assert f"the same command with --out {shlex.quote(str(folder))} goes on\n" in err
+
+
+@pytest.mark.parametrize("ledger_named", [False, True])
+@pytest.mark.parametrize("serves", [False, True])
+def test_a_new_adapter_is_told_with_what_leads_to_its_service(
+    tell, ledger, tmp_path, monkeypatch, ledger_named, serves
+):
+    def champion(place):
+        return "b" * 64 if serves else ""
+
+    registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
+    monkeypatch.setattr("dualbrain.cli.adapters.registry_of_adapters", lambda: registry)
+    monkeypatch.setattr(command, "_note", lambda *told: None)
+    facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
+    night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
+    monkeypatch.setattr(command, "adapt_with_torch", lambda: night)
+    monkeypatch.setattr("dualbrain.adaptation.bases.find_base", lambda name, cache: name)
+    of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
+    code, _, err = tell("adapt", "--out", "fit", *of.split())
+    assert code == Exit.SUCCESS
+    assert err.splitlines()[-3:] == [
+        f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
+        f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else "@base-135m"}',
+        f"  dualbrain adapters promote {one} --measured fit/measured.json",
+    ]
 
 
 def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tmp_path):

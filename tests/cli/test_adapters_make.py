@@ -3,20 +3,23 @@
 import json
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from dualbrain.adaptation import bases
 from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
-from dualbrain.adaptation.dataset import read_dataset
+from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.sample import Sample
 from dualbrain.cli import adapt as fitting
 from dualbrain.cli.exits import Exit
+from dualbrain.runtime import classroom, starter
 from dualbrain.runtime import proposals as room
-from dualbrain.runtime import starter
 from dualbrain.runtime.proposals import declined, memory_of
-from tests.adaptation.episodes import episode, pick, remember, summary
+from tests.adaptation.episodes import episode, pick, remember, several, summary
 
 DECLINE = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
 NUMBER = 12
+LESSON = Sample("a", [], [], 0.5, 0.0, 0.0, 1, "panda tall:1", "", (), "templates", (), ())
 
 
 class Stopped(BaseException):
@@ -76,6 +79,70 @@ def test_stopped_anywhere_it_ends_with_the_same_data_set(tell, stage, tmp_path, 
     tell("adapters", "make", "starter-135m", "--out", tmp_path / "again")
     assert stage.flown == ([] if stop == "fit" else list(range(stop - stop % 4, NUMBER)))
     assert len({one[0] for one in stage.fitted}) == 1
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and "ledger" not in path.name}
+
+
+def change(folder, **parts):
+    """Change the card of the data set in `folder`."""
+    path = folder / "dataset" / CARD
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(read_card(folder / "dataset"), **parts)))
+
+
+ANOTHER = {
+    "form": ({"form": "another"}, "form another, now conversational"),
+    "robot": ({"robot": "ur5e"}, "robot ur5e, now panda"),
+    "vocabulary": ({"registry": "00000000"}, "registry 00000000, now "),
+    "prompt": ({"prompt": "0" * 16}, f"prompt {'0' * 16}, now "),
+    "site": ({"site": "a" * 64}, f"site {'a' * 64}, now "),
+    "further robots": ({"also": {"base": "00000000"}}, "also {'base': '00000000'}, now {}"),
+    "number of proposals": ({"memories": 7}, f"memories 7, now {NUMBER}"),
+    "dials": ({"epsilon": 0.003}, "epsilon 0.003, now 0.0021"),
+    "ledger": ({"ledger": "f" * 64}, f"ledger {'f' * 16}, now that of "),
+}
+
+
+@pytest.mark.parametrize("part", ANOTHER)
+def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part):
+    parts, words = ANOTHER[part]
+    tell("adapters", "make", "starter-135m", "--out", "made")
+    stage.fitted.clear()
+    change(tmp_path / "made", **parts)
+    before = contents(tmp_path / "made")
+    code, out, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    assert (code, out, stage.fitted) == (Exit.SETUP, "", [])
+    assert "data set in made: got " in err
+    assert words in err
+    assert "another --out" in err
+    assert contents(tmp_path / "made") == before
+
+
+def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):
+    """Also where the dials of both are the same: the day's ledger is not there."""
+    remember(tmp_path, several(8)).close()
+    (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter.EPSILON}")
+    tell("adapt", "--export", "made/dataset", "--config", "dials.toml")
+    change(tmp_path / "made", memories=NUMBER)
+    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    assert (code, stage.flown, stage.fitted) == (Exit.SETUP, [], [])
+    assert "now that of made/day" in err
+    assert [path.name for path in (tmp_path / "made").iterdir()] == ["dataset"]
+
+
+def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_path, monkeypatch):
+    monkeypatch.setattr(classroom, "lessons", lambda count, part: (LESSON,) * count)
+    for _ in range(2):
+        assert tell("adapters", "make", "base-135m", "--out", "made")[0] == Exit.SUCCESS
+    assert len(stage.fitted) == 2
+    change(tmp_path / "made", also={})
+    code, _, err = tell("adapters", "make", "base-135m", "--out", "made")
+    assert (code, len(stage.fitted)) == (Exit.SETUP, 2)
+    assert "also {}, now {" in err
+    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    assert (code, len(stage.fitted)) == (Exit.SETUP, 2)
+    assert "what starter-135m is taught today" in err
 
 
 @pytest.mark.slow

@@ -116,7 +116,10 @@ def test_a_killed_child_is_a_proposal_and_the_next_one_starts_afresh(planner: Ll
     assert first is not None
     os.kill(first, signal.SIGKILL)
     crashed = planner.propose(request())
-    assert (crashed.finish_reason, crashed.text) == (protocol.CRASHED, "")
+    assert crashed.finish_reason.startswith(
+        f"{protocol.CRASHED}: signal 9 (Killed), as a system that is short of memory"
+    )
+    assert crashed.text == ""
     assert planner.pid is None
     assert planner.propose(request()).finish_reason == protocol.STOP
     assert planner.pid not in {None, first}

@@ -1,5 +1,6 @@
 """A child that is lost is put away whoever asked it, so that the next question is asked of a new one."""
 
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,17 +13,27 @@ from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.planner import llama, llama_process, protocol
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.chat import Answer
+from dualbrain.planner.last_words import TOLD, ending
 from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from dualbrain.planner.short_prompt import short_template_hash
 from tests.planner.fake_server import completion
 from tests.planner.questions import REGISTRY, request
 
+LOUD = 300_000
+"""Characters on standard error: more than a pipe holds."""
 CHILD = f"""
 import json, os, socket, sys, threading, time
-how = open(json.loads(sys.stdin.readline())["model"]).read()
+told = json.loads(sys.stdin.readline())
+how = open(told["model"]).read()
 threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
 if how == "dies":
     sys.exit()
+if how.startswith("says"):
+    key = "Bearer " + told["key"]
+    sys.stderr.write("the beginning\\n" + {LOUD} * "x" + "\\n" + key + "\\n\\x1b[31mno memory \\u00e9\\n\\n")
+    sys.stderr.flush()
+if how == "says and dies":
+    os.kill(os.getpid(), 6)
 if how == "dies while it tells":
     print('{{"addr', end="", flush=True)
     sys.exit()
@@ -34,7 +45,11 @@ with socket.create_server(("127.0.0.1", 0)) as server:
     print(json.dumps({{"address": "http://127.0.0.1:%d" % server.getsockname()[1]}}), flush=True)
     while how != "hangs when asked":
         call = server.accept()[0]
-        call.recv(65536)
+        asked, size = call.makefile("rb"), 0
+        for line in iter(asked.readline, b"\\r\\n"):
+            size = int(line[15:]) if line.lower().startswith(b"content-length:") else size
+        asked.read(size)  # whole: who closes on a question that still comes breaks the connection
+        asked.close()
         if how == "dies when asked":
             sys.exit()
         call.sendall(b"HTTP/1.0 200 OK\\r\\n\\r\\n" + {completion("words")!r})
@@ -82,6 +97,31 @@ def test_one_that_is_lost_over_a_question_of_any_kind_is_put_away(planner: Llama
     first = planner.pid
     assert told(planner) == ""
     assert planner.pid == first is not None  # one that answers is kept
+
+
+def test_one_that_died_is_told_with_its_end_and_its_last_words(planner: LlamaPlanner, model: Path) -> None:
+    planner.close()
+    model.write_text("says and dies")
+    answer = planner.tell("/v1/chat/completions", {})
+    assert isinstance(answer, Answer)
+    assert answer.finish == protocol.CRASHED
+    assert answer.detail.startswith("signal 6 (Aborted): x")
+    assert answer.detail.endswith("x | Bearer [key] | \\x1b[31mno memory \\xe9")
+    assert len(answer.detail) <= len("signal 6 (Aborted): ") + TOLD
+    model.write_text("dies when asked")
+    assert planner.propose(request()).finish_reason == f"{protocol.CRASHED}: exit code 0"
+
+
+def test_one_that_says_much_does_not_wait_for_anybody_to_read_it(planner: LlamaPlanner, model: Path) -> None:
+    planner.close()
+    model.write_text("says much and answers")
+    assert told(planner) == ""
+
+
+def test_a_signal_that_a_system_short_of_memory_sends_is_told_as_one() -> None:
+    assert "short of memory" in ending(-signal.SIGKILL)
+    assert ending(-signal.SIGSEGV) == "signal 11 (Segmentation fault)"
+    assert ending(3) == "exit code 3"
 
 
 def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(

@@ -18,6 +18,10 @@ BESIDE = (CONFIG, CARD)
 """What says how the weights are worn, and where: α among them. The id does not cover these two."""
 
 
+IN_TORCH = " in torch"
+"""What follows the name of a bare model, as the author of a proposal, where transformers ran it and not llama.cpp."""
+
+
 class AdapterCard(msgspec.Struct, frozen=True):
     """`id` is the SHA-256 of the weights: never given to other weights. `base` and `base_sha256` name what it sits on.
 
@@ -100,9 +104,9 @@ def worn_as(folder: Path) -> object:
 
 
 def proposed_by_others(sources: Iterable[str], base: str, own: Collection[str] = ()) -> bool:
-    """Whether any of `sources` is another than `base`, bare or with one of its `own` adapters.
+    """Whether any of `sources` is another than `base`, bare (whatever runs it) or with one of its `own` adapters.
 
     `own` are the ids of adapters that were taught by the base alone: what others taught one, it passes on.
     """
-    mine = {base, *(f"{base}+{one[:16]}" for one in own)}
+    mine = {base, base + IN_TORCH, *(f"{base}+{one[:16]}" for one in own)}
     return not mine.issuperset(sources)

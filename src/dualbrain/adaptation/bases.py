@@ -30,8 +30,15 @@ class Base:
 
 def hash_of_base(name: str) -> str:
     """What names the base called `name` in a card; raises `UnknownName`, `InvalidSetup`. Its model need not be here."""
-    _require_base(name)
+    require_base(name)
     return read_adapter_card(packaged_folder(name)).id if name in packaged_names() else find_file(name).sha256
+
+
+def require_base(name: str) -> None:
+    """Raise `UnknownName` unless `name` is a language model of the manifest or a packaged adapter."""
+    models = tuple(file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))
+    if name not in (known := (*models, *packaged_names())):
+        raise UnknownName("base", name, known)
 
 
 def find_base(name: str, cache: Path) -> Base:
@@ -39,16 +46,9 @@ def find_base(name: str, cache: Path) -> Base:
 
     Raises `UnknownName`, `MissingPart`, `WrongHash`, `InvalidSetup`.
     """
-    _require_base(name)
+    require_base(name)
     if name not in packaged_names():
         return Base(name, locate(name, cache), find_file(name).sha256)
     stack = stack_of(packaged_folder(name), cache)
     folders = tuple(layer.folder for layer in stack.layers)
     return Base(name, stack.gguf, find_file(stack.base).sha256, folders, stack.top.id)
-
-
-def _require_base(name: str) -> None:
-    """Raise `UnknownName` if `name` is neither a language model of the manifest nor a packaged adapter."""
-    models = (file.name for file in MANIFEST.values() if file.filename.endswith(".gguf"))
-    if name not in (known := (*models, *packaged_names())):
-        raise UnknownName("base", name, known)

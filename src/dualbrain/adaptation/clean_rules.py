@@ -35,11 +35,11 @@ class CleanRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     physical: bool = True
 
     def __post_init__(self) -> None:
-        """Raise `InvalidSetup` for an ε below 0 or a limit that would leave out the median."""
+        """Raise `InvalidSetup` for an ε below 0, a limit that would leave out the median, or an endless one."""
         if not 0.0 <= self.epsilon < math.inf:
-            raise InvalidSetup("epsilon", got=self.epsilon, allowed="at least 0")
-        if not self.slowest >= 1.0:
-            raise InvalidSetup("slowest", got=self.slowest, allowed="at least 1")
+            raise InvalidSetup("epsilon", got=self.epsilon, allowed="at least 0 and finite")
+        if not 1.0 <= self.slowest < math.inf:
+            raise InvalidSetup("slowest", got=self.slowest, allowed="at least 1 and finite")
 
 
 def select(

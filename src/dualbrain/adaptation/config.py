@@ -31,7 +31,17 @@ class ObjectiveDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for name in ("lambda_w", "lambda_h", "beta"):
             value = getattr(self, name)
             if not 0.0 <= value < math.inf:
-                raise InvalidSetup(f"objective {name}", got=value, allowed="at least 0")
+                raise InvalidSetup(f"objective {name}", got=value, allowed="at least 0 and finite")
+
+
+SEED = 2**63 - 1
+"""The largest seed that every source of chance takes."""
+WHOLE = {
+    "steps": (1, 1_000_000), "batch": (1, 4096), "at_once": (1, 4096), "rank": (1, 1024), "alpha": (1, 65_536),
+    "save_every": (1, 1_000_000), "patience": (1, 1_000_000), "warm_up": (0, 1_000_000), "ask_at_most": (0, 1_000_000),
+    "seed": (0, SEED), "threads": (0, 4096),
+}  # fmt: skip
+"""Least and most of each whole number of a fit. Beyond them no fit is meant, and a library would fail in its midst."""
 
 
 class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,8 +51,8 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `warm_up` steps and falls along a cosine to a tenth of it. `clip` bounds the norm of the gradient. `rank` and
     `alpha` are LoRA's r and α. Every `save_every` steps a checkpoint is written, and the held-out part is asked (at
     most `ask_at_most` questions); after `patience` rounds without progress it stops. `keep` the best of them, or the
-    last, whatever it is, after all steps. `precision` "auto" is bf16 where the device multiplies in it, else float32.
-    `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
+    last, whatever it is, after all steps: then it is asked once, at the end. `precision` "auto" is bf16 where the
+    device multiplies in it, else float32. `quantise` "nf4" keeps the frozen layers in 4 bits (QLoRA).
     """
 
     steps: int = 120
@@ -64,15 +74,12 @@ class FitDials(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         """Raise `InvalidSetup` for what cannot be."""
-        for name in ("steps", "batch", "at_once", "rank", "alpha", "save_every", "patience"):
-            if getattr(self, name) < 1:
-                raise InvalidSetup(f"fit {name}", got=getattr(self, name), allowed="at least 1")
-        for name in ("warm_up", "ask_at_most", "seed", "threads"):
-            if getattr(self, name) < 0:
-                raise InvalidSetup(f"fit {name}", got=getattr(self, name), allowed="at least 0")
+        for name, (least, most) in WHOLE.items():
+            if not least <= (got := getattr(self, name)) <= most:
+                raise InvalidSetup(f"fit {name}", got=got, allowed=f"{least} to {most}")
         for name in ("rate", "clip"):
             if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidSetup(f"fit {name}", got=getattr(self, name), allowed="above 0")
+                raise InvalidSetup(f"fit {name}", got=getattr(self, name), allowed="above 0 and finite")
         if self.batch % self.at_once:
             raise InvalidSetup("fit at_once", got=self.at_once, allowed=f"a divisor of batch = {self.batch}")
 

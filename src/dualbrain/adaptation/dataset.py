@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -94,6 +95,12 @@ def other_dials(card: DatasetCard, dials: Curation) -> str:
         made["physical"] = card.physical
     here = {"epsilon": rules.epsilon, "slowest": rules.slowest, "physical": rules.physical}
     return apart(made, here | {"most_repeats": dials.most_repeats, "held_out": dials.held_out, "salt": dials.salt})
+
+
+def made_otherwise(card: DatasetCard, made: Mapping[str, object]) -> str:
+    """In which of the parts `made` tells, or in the prompt's template, `card` tells another; "" if in none."""
+    here = {"prompt": short_template_hash(), **made}
+    return apart({part: getattr(card, part) for part in here}, here)
 
 
 def dataset_hash(train: bytes, held_out: bytes) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,8 +36,9 @@ def adapt(
 
     Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
     one in which a person's hand was. Nothing in memory is changed. The adapter is used by nobody until it is promoted.
-    Interrupted in any way, the same command with the same --out goes on where it was. Exit code 1 if the adapter is
-    there, but what it was taught could not be written into the ledger; the same command then writes that alone. A
+    Interrupted in any way, the same command with the same --out goes on where it was; which folder that is is told.
+    Exit code 1 if the adapter is there, but what it was taught could not be written into the ledger; the same command
+    then writes that alone. A
     launcher such as torchrun can start it in several processes, which share each step.
 
     Parameters
@@ -64,11 +68,17 @@ def adapt(
         raise WrongUsage("--dry-run and --export", got="both", allowed="one: a dry run writes nothing")
     if launched() and (dry_run or export or when_idle):
         raise InvalidSetup("adapt in several processes", got="--dry-run, --export or --when-idle", allowed="a fit")
+    from dualbrain.adaptation.bases import require_base
+
+    require_base(base)
+    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
     if when_idle and not (dry_run or export):
         from dualbrain.cli.when_idle import adapt_when_idle
 
-        folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
-        return adapt_when_idle(robot=robot, base=base, ledger=ledger, site=site, config=config, out=folder, json=json)
+        with kept_in(folder, Account()):
+            return adapt_when_idle(
+                robot=robot, base=base, ledger=ledger, site=site, config=config, out=folder, json=json
+            )
     from dualbrain.adaptation.config import AdaptConfig, read_config
     from dualbrain.runtime.vocabulary import vocabulary, vocabulary_at
 
@@ -76,10 +86,25 @@ def adapt(
     there = vocabulary_at(robot, site) if site else None
     if dry_run or export is not None:
         return _only_choose(ledger, registry, there, dials, export, json=json)
-    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
-    with team_here(adapt_with_torch, out) as team:
+    with team_here(adapt_with_torch, out) as team, kept_in(folder, account_of(team)):
         team.once(lambda: _choose(ledger, registry, there, dials, folder))
         return _fit(dials, registry, base, folder, ledger, team, json=json)
+
+
+@contextmanager
+def kept_in(folder: Path, account: Account) -> Generator[None]:
+    """Tell in which `folder` everything is kept, and on Ctrl-C how to go on there."""
+    _say_whole(account, f"all is kept in {folder}")
+    try:
+        yield
+    except KeyboardInterrupt:
+        _say_whole(account, f"the same command with --out {shlex.quote(str(folder))} goes on")
+        raise
+
+
+def _say_whole(account: Account, words: str) -> None:
+    """Print `words` as they are, on one line however long, so that a path or a command can be copied."""
+    account.print(words, markup=False, soft_wrap=True)
 
 
 def _only_choose(
@@ -174,15 +199,33 @@ def _own() -> list[str]:
 
 
 def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> Exit:
-    """Register the adapter in `folder`, and say so; not a success if nobody could write down what taught it."""
+    """Register the adapter in `folder`, say so and what comes next; no success if nobody could note what taught it."""
+    from dualbrain.adaptation.adapters import place_of
     from dualbrain.cli.adapters import registry_of_adapters
 
-    registry_of_adapters().add(folder / "adapter", now=time.time())
+    registry, account = registry_of_adapters(), Account()
+    registry.add(folder / "adapter", now=time.time())
     noted = _note(card, dataset, folder, ledger)
-    Account().print(f"adapter {card.id[:16]}; used by nobody until `dualbrain adapters promote`")
+    account.print(f"adapter {card.id[:16]}; used by nobody until it is promoted. Next, in this order:")
+    for line in _next(card, folder, ledger, alone=not registry.champion(place_of(card))):
+        _say_whole(account, f"  {line}")
     if json:
         tell(card)
     return Exit.SUCCESS if noted else Exit.FAILED_SAFELY
+
+
+def _next(card: Any, folder: Path, ledger: Path | None, *, alone: bool) -> tuple[str, ...]:
+    """The commands that lead a new adapter into service, in their order; `alone` if none serves in its place yet."""
+    from dualbrain.planner.registry import DEFAULT_PLANNER
+
+    one, results = card.id[:16], folder / "measured.json"
+    data, told = (shlex.quote(str(path)) for path in (folder / DATASET, results))
+    of = f" --ledger {shlex.quote(str(ledger))}" if ledger else ""
+    return (
+        f"dualbrain adapters measure {one} --data {data} --out {told}{of}",
+        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{f"@{DEFAULT_PLANNER}" if alone else ""}',
+        f"dualbrain adapters promote {one} --measured {told}",
+    )
 
 
 def _note(card: Any, dataset: Any, folder: Path, ledger: Path | None) -> bool:

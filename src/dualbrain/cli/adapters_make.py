@@ -16,7 +16,7 @@ from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache
 from dualbrain.cli.launcher import account_of, team_here
 from dualbrain.cli.memory_open import tell
-from dualbrain.errors import UnknownName
+from dualbrain.errors import InvalidSetup, UnknownName
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.fitting.team import Team
@@ -32,7 +32,8 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
     base-135m is SmolLM2 taught the language of contracts of panda, ur5e and base: templates with random valid
     parameters, nothing carried out. It plans, and knows nothing of any body. starter-135m is SmolLM2 after a first
     night: such contracts for the panda, each carried out in its scene, and those taught that went well. Interrupted in
-    any way, the same command with the same --out goes on where it was.
+    any way, the same command with the same --out goes on where it was. A data set there that is not the one which that
+    adapter is taught today is refused.
 
     Parameters
     ----------
@@ -45,10 +46,10 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
     """
     if name not in _MAKERS:
         raise UnknownName("shipped adapter", name, tuple(_MAKERS))
-    from dualbrain.cli.adapt import adapt_with_torch
+    from dualbrain.cli.adapt import adapt_with_torch, kept_in
 
     folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    with team_here(adapt_with_torch, out) as team:
+    with team_here(adapt_with_torch, out) as team, kept_in(folder, account_of(team)):
         card = _MAKERS[name](folder, team)
         if json and team.rank == 0:
             tell(card)
@@ -70,11 +71,12 @@ def _base_135m(folder: Path, team: Team) -> Any:
 
 def _draw(folder: Path, registries: Mapping[str, Registry]) -> None:
     """Write the lessons into `folder`, unless they are there already."""
-    from dualbrain.adaptation.dataset import write_dataset
-    from dualbrain.adaptation.lessons.course import CHECKS, LESSONS, course
+    from dualbrain.adaptation.dataset import read_card, write_dataset
+    from dualbrain.adaptation.lessons.course import CHECKS, LESSONS, course, not_course
     from dualbrain.runtime.classroom import lessons
 
     if (folder / DATASET / "dataset.json").is_file():
+        _require_own("base-135m", folder, not_course(read_card(folder / DATASET), registries))
         Account().print(f"going on with the lessons in {folder}")
     else:
         write_dataset(course(lessons(LESSONS, "teach"), lessons(CHECKS, "check"), registries), folder / DATASET)
@@ -94,16 +96,18 @@ def _starter_135m(folder: Path, team: Team) -> Any:
 
 def _live(folder: Path) -> None:
     """Carry out what is proposed, and write what went well into `folder`, unless that is there already."""
-    from dualbrain.adaptation.dataset import read_dataset, write_dataset
+    from dualbrain.adaptation.dataset import read_card, read_dataset, write_dataset
     from dualbrain.runtime import starter
 
-    account = Account()
+    account, day = Account(), folder / "day"
     if (folder / DATASET / "dataset.json").is_file():
+        others = starter.not_taught(read_card(folder / DATASET), day, starter.PROPOSALS)
+        _require_own("starter-135m", folder, others)
         account.print(f"going on with the data set in {folder}")
     else:
         told = _flights_told(account, starter.PROPOSALS)
-        day = starter.first_day(folder / "day", starter.PROPOSALS, cache=cache(), tell=told)
-        write_dataset(starter.taught(day), folder / DATASET)
+        lived = starter.first_day(day, starter.PROPOSALS, cache=cache(), tell=told)
+        write_dataset(starter.taught(lived), folder / DATASET)
     data = read_dataset(folder / DATASET)
     reasons = "".join(f"; {number} {reason}" for reason, number in data.card.left_out.items())
     account.print(f"{data.card.train} samples to train on, {data.card.held_out} held out{reasons}")
@@ -122,6 +126,13 @@ def _flights_told(account: Account, number: int) -> Callable[[int, Any], None]:
 
 
 # --- both -------------------------------------------------------------------------------------------------------------
+
+
+def _require_own(name: str, folder: Path, others: str) -> None:
+    """Raise `InvalidSetup` if the data set in `folder` differs, in `others`, from the one that `name` is taught."""
+    if others:
+        fix = "It is another one's, or what it was made for has changed since. Name another --out to make it anew."
+        raise InvalidSetup(f"data set in {folder}", got=others, allowed=f"what {name} is taught today", fix=fix)
 
 
 def _fit(base: str, dials: Any, registries: Mapping[str, Registry], folder: Path, team: Team) -> Any:

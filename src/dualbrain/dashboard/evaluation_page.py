@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dualbrain.dashboard.evaluation_report import LATENCY, Shot, Told, facts, jpeg, traced
+from dualbrain.dashboard.evaluation_report import LATENCY, Shot, Told, facts, jpeg, traces_words
 from dualbrain.dashboard.page import Html, palette
 from dualbrain.evaluation.markdown import page
 from dualbrain.evaluation.words import headline
@@ -21,7 +21,7 @@ def write_page(folder: Path, told: Told) -> None:
     replaced = _shown(folder / PAGE) if told.gallery else set[str]()
     lines = ["## Pictures", ""]
     charts = [("curves", "Over repetitions: mean with its 95 % interval", told.curves)]
-    charts += [("traces", f"One place: {traced(told)}", told.traces)] if told.traced else []
+    charts += [("traces", f"One place: {traces_words(told)}", told.traces)] if told.traced else []
     charts += [("latencies", f"Latency: {LATENCY}", told.latencies)]
     for name, title, chart in charts:
         folder.joinpath(f"{name}.svg").write_text(standing(chart), encoding="utf-8")

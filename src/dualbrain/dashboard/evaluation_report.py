@@ -117,7 +117,7 @@ def render_evaluation(told: Told) -> str:
         _grid(rest[0]),
         _card("Over repetitions", told.curves, "mean with its 95 % interval; a scene is repeated in its run"),
         *map(_grid, rest[1:4]),
-        *([_card("One place", told.traces, traced(told))] if told.traced else []),
+        *([_card("One place", told.traces, traces_words(told))] if told.traced else []),
         _gallery(told.gallery),
         _card("Latency", told.latencies, LATENCY),
         *map(_grid, rest[4:]),
@@ -179,9 +179,9 @@ def jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return data.getvalue()
 
 
-def traced(told: Told) -> str:
+def traces_words(told: Told) -> str:
     """Which place the traces are of, and how to read them."""
-    return f"{traced_pair(told.rows)}; methods that did the same share a line; × : a violation begins, on truth"
+    return f"{told.traced}; methods that did the same share a line; × : a violation begins, on truth"
 
 
 def facts(told: Told) -> dict[str, str]:

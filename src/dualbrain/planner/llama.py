@@ -184,7 +184,7 @@ class LlamaPlanner:
     def _unless_lost(self, child: LlamaProcess, answer: Answer) -> Answer:
         """`answer`, or that the child died over it; a lost child is put away, so that the next question starts anew."""
         if answer.finish == protocol.ERROR and child.died():
-            answer = Answer("", protocol.CRASHED)
+            answer = child.crashed()
         if answer.finish in {protocol.TIMEOUT, protocol.CRASHED} or not child.ready:
             self.close()
         return answer

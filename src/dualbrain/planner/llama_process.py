@@ -14,6 +14,7 @@ from typing import Any
 
 from dualbrain.planner import protocol
 from dualbrain.planner.chat import Answer
+from dualbrain.planner.last_words import LastWords, ending
 
 _CHILD = Path(__file__).with_name("llama_child.py")
 
@@ -62,9 +63,11 @@ class LlamaProcess:
             [sys.executable, "-P", str(_CHILD)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
         )
+        assert self._process.stderr is not None
+        self._words = LastWords(self._process.stderr, without=self.key)
         settings: dict[str, Any] = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads}
         settings |= {"key": self.key, "prefixes": f"{config.prefixes}/" if config.prefixes else ""}
         settings["adapters"] = [str(one.path) for one in adapters]
@@ -89,6 +92,11 @@ class LlamaProcess:
             self._process.wait(timeout=0.5)
         return self._process.poll() is not None
 
+    def crashed(self) -> Answer:
+        """Why there is no answer of a process that has ended: how it ended, and its last words."""
+        told = (ending(self._process.wait()), self._words.told())
+        return Answer("", protocol.CRASHED, ": ".join(filter(None, told)))
+
     def address(self, timeout_s: float) -> tuple[str, Answer | None]:
         """Where the child listens, or why it does not; waits while it loads."""
         if self._address:
@@ -98,14 +106,11 @@ class LlamaProcess:
         if not select.select([out], [], [], timeout_s)[0]:
             return "", Answer("", protocol.TIMEOUT)
         line = out.readline()
-        if not line:
-            self._process.wait()
-            return "", Answer("", protocol.CRASHED)
         try:
             told = json.loads(line)
-        except ValueError:  # it died in the midst of it
+        except ValueError:  # it died before it, or in the midst of it
             self._process.wait()
-            return "", Answer("", protocol.CRASHED)
+            return "", self.crashed()
         self._address = told.get("address", "")
         return self._address, None if self._address else Answer("", protocol.ERROR, told["error"])
 
@@ -120,3 +125,4 @@ class LlamaProcess:
             self._process.kill()
             self._process.wait()
         self._process.stdout.close()
+        self._words.close()

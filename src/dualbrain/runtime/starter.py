@@ -14,10 +14,13 @@ from pathlib import Path
 from dualbrain.adaptation.clean_rules import CleanRules
 from dualbrain.adaptation.config import AdaptConfig, FitDials
 from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.dataset import Dataset, dataset_of
+from dualbrain.adaptation.dataset import FORM, Dataset, DatasetCard, dataset_of, made_otherwise, other_dials
+from dualbrain.memory.ancestry import goes_on_from
+from dualbrain.memory.chain import Head
 from dualbrain.memory.ledger import LedgerReader
 from dualbrain.records import Episode
 from dualbrain.runtime.proposals import EPSILON, LEDGER, ROBOT, declined, flown, memory_of, proposals, proposed
+from dualbrain.runtime.steps import left_by_steps
 from dualbrain.runtime.vocabulary import vocabulary
 
 BASE = "smollm2-135m-instruct"
@@ -48,3 +51,26 @@ def taught(day: Path) -> Dataset:
         most = (len(deeds.train) + len(deeds.held_out)) // DEEDS_A_DECLINE
         declines = [memory_of(turn) for turn, one in enumerate(proposed(day)) if declined(one)][:most]
         return dataset_of(curate(ledger, registry, dials, declines=declines), registry, dials)
+
+
+def not_taught(card: DatasetCard, folder: Path, number: int) -> str:
+    """In what the data set of `card` is another than that of a day of `number` proposals in `folder`; "" if in none.
+
+    The vocabulary, the prompt and the dials are those of today, and the ledger is the day's.
+    """
+    registry = vocabulary(ROBOT)
+    made: dict[str, object] = {
+        "form": FORM, "robot": ROBOT, "registry": registry.hash, "also": {}, "site": "", "memories": number,
+    }  # fmt: skip
+    others = [made_otherwise(card, made), other_dials(card, DIALS.curation)]
+    if not _of_day(card, folder):
+        others.append(f"ledger {card.ledger[:16] or 'none'}, now that of {folder}")
+    return "; ".join(filter(None, others))
+
+
+def _of_day(card: DatasetCard, folder: Path) -> bool:
+    """Whether the data set of `card` was read from the ledger of the day in `folder`."""
+    if (day := left_by_steps(folder)) is None:
+        return False
+    with LedgerReader(day / LEDGER) as ledger:
+        return goes_on_from(ledger, Head(card.event, card.ledger))

@@ -19,8 +19,7 @@ def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start
     steps waits for them.
     """
     with alone(folder):
-        whole = sorted(folder.glob("step-*"))
-        last = whole[-1] if whole else None
+        last = left_by_steps(folder)
         for number in range(_number(last), steps):
             partial = folder / "partial"
             shutil.rmtree(partial, ignore_errors=True)
@@ -33,6 +32,11 @@ def carry_on(folder: Path, steps: int, do: Callable[[int, Path], None], *, start
                 shutil.rmtree(old)
     assert last is not None, "work has at least one step"
     return last
+
+
+def left_by_steps(folder: Path) -> Path | None:
+    """What the last whole step in `folder` left, None before the first."""
+    return max(folder.glob("step-*"), default=None)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import msgspec
 
 from dualbrain.adaptation.compliance import Judge
 from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
-from dualbrain.adaptation.dataset import Dataset, DatasetCard, dataset_hash
+from dualbrain.adaptation.dataset import Dataset, DatasetCard, dataset_hash, made_otherwise
 from dualbrain.adaptation.lessons.score import score
 from dualbrain.adaptation.sample import Sample, to_lines
 from dualbrain.contracts.contract import Contract
@@ -40,6 +40,14 @@ def course(taught: Sequence[Sample], asked: Sequence[Sample], registries: Mappin
         len(asked) / len(rows), "", also=hashes,
     )  # fmt: skip
     return Dataset(card, tuple(taught), tuple(asked))
+
+
+def not_course(card: DatasetCard, registries: Mapping[str, Registry]) -> str:
+    """In what the data set of `card` is another than a course of `registries`, of its length; "" if in none."""
+    hashes = {name: registry.hash for name, registry in registries.items()}
+    first = next(iter(hashes))
+    made = {"form": FORM, "robot": first, "registry": hashes.pop(first), "also": hashes}
+    return made_otherwise(card, made | {"train": LESSONS, "held_out": CHECKS})
 
 
 def language_judge(registries: Mapping[str, Registry]) -> Judge:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from dualbrain.adaptation.adapter_card import CONFIG, AdapterCard, hashes_beside
+from dualbrain.adaptation.adapter_card import CONFIG, IN_TORCH, AdapterCard, hashes_beside
 from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.serving.adapted import AdaptedPlanner
 from dualbrain.adaptation.serving.canary import SCENES, Watch
@@ -132,7 +132,7 @@ def _in_torch(
         if name not in (models := plain.planner_names()):
             known = (*models, *packaged_names(), f"{PREFIX}ID")
             raise UnknownName("planner in torch", name, known, owner="this installation")
-        return TorchPlanner(f"{name} in torch", Stack(name, locate(name, cache), ()), cache, full, config)
+        return TorchPlanner(name + IN_TORCH, Stack(name, locate(name, cache), ()), cache, full, config)
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)
     require_prompt(stack.top)
     if robot:

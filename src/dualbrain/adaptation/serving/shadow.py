@@ -13,7 +13,7 @@ from threading import Lock, Thread
 
 import msgspec
 
-from dualbrain.adaptation.adapter_card import AdapterCard
+from dualbrain.adaptation.adapter_card import IN_TORCH, AdapterCard
 from dualbrain.errors import InvalidSetup
 from dualbrain.planner.prompt import Message
 from dualbrain.planner.protocol import ERROR, STOP, Planner
@@ -21,7 +21,6 @@ from dualbrain.planner.reading import messages_of, template_of
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
-IN_TORCH = " in torch"
 PATIENCE_S = 2.0
 """How long an answer under way is waited for at the end [s]; what came of it by then is written down."""
 
