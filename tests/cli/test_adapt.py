@@ -23,6 +23,7 @@ from dualbrain.memory.compact import swap
 from dualbrain.memory.events import ADAPTER, AdapterUse
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.runtime.idleness import Machine
 from dualbrain.runtime.low_load import Pace
 from dualbrain.runtime.vocabulary import vocabulary_at
@@ -156,7 +157,7 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
     assert code == Exit.SUCCESS
     assert err.splitlines()[-3:] == [
         f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
-        f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else "@base-135m"}',
+        f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else f"@{DEFAULT_PLANNER}"}',
         f"  dualbrain adapters promote {one} --measured fit/measured.json",
     ]
 
