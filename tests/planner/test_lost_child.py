@@ -1,14 +1,14 @@
 """A child that is lost is put away whoever asked it, so that the next question is asked of a new one."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.serving.adapted import AdaptedPlanner
+from dualbrain.adaptation.serving.adapted import AdaptedPlanner, NotItself
 from dualbrain.planner import llama, llama_process, protocol
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.chat import Answer
@@ -48,6 +48,12 @@ LOST = {
 }  # fmt: skip
 
 
+CARD = AdapterCard(
+    "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
+    "float32", 7, None, AdaptConfig(), {},
+)  # fmt: skip
+
+
 @pytest.fixture
 def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A model's file for such children."""
@@ -84,14 +90,19 @@ def test_one_that_is_lost_over_a_question_of_any_kind_is_put_away(planner: Llama
     assert planner.pid == first is not None  # one that answers is kept
 
 
+@pytest.mark.parametrize("faulty", [lambda planner: "another", lambda planner: 1 / 0], ids=["fault", "raises"])
+def test_no_child_is_left_of_an_adapter_that_is_not_itself(
+    planner: LlamaPlanner, faulty: Callable[[LlamaPlanner], str]
+) -> None:
+    with pytest.raises((NotItself, ZeroDivisionError)):
+        AdaptedPlanner(planner, CARD, faulty)
+    assert planner.pid is None
+
+
 def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
     planner: LlamaPlanner, model: Path
 ) -> None:
-    card = AdapterCard(
-        "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
-        "float32", 7, None, AdaptConfig(), {},
-    )  # fmt: skip
-    adapted = AdaptedPlanner(planner, card, told)
+    adapted = AdaptedPlanner(planner, CARD, told)
     planner.close()
     model.write_text("dies when asked")
     assert adapted.propose(request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"
