@@ -20,9 +20,11 @@ from typing import Any
 import torch
 
 from dualbrain.adaptation.adapters import Adapters
+from dualbrain.adaptation.bases import Base
+from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
-from dualbrain.adaptation.serving.layers import stack_of
-from dualbrain.adaptation.serving.local_transformers import dressed
+from dualbrain.adaptation.fitting.worn import worn
+from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.names import folder_of
 from dualbrain.adaptation.serving.opening import N_CTX, wear
 from dualbrain.adaptation.serving.speaking import Said, say
@@ -30,6 +32,7 @@ from dualbrain.cli.folders import cache, home
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.llama import LlamaConfig
 from dualbrain.runtime.classroom import lessons
+from dualbrain.weights import find_file
 
 LONGEST = 320
 NEAR = 0.5
@@ -43,7 +46,7 @@ def main() -> int:
     stack = stack_of(folder_of(name, Adapters(home() / "adapters")), cache())
     questions = lessons(asked.count, "test", robots={stack.top.robot: 1.0})
     torch.set_num_threads(asked.threads)
-    model, tokenizer = dressed(stack, cache())
+    model, tokenizer = as_peft_wears_it(stack)
     planner = wear(stack, cache(), LlamaConfig(threads=asked.threads, n_ctx=N_CTX), asking=FREE)
     rows: list[dict[str, Any]] = []
     try:
@@ -65,6 +68,14 @@ def main() -> int:
         words = f"{row['torch']!r} | {row['llama']!r}"
         print(f"  {row['question']} parts at token {row['at']}, {row['margin']:.3f} nats apart: {words}")
     return 0 if equal >= len(rows) - 2 and not sure else 1
+
+
+def as_peft_wears_it(stack: Stack) -> tuple[Any, Any]:
+    """Model and tokenizer in float32: peft, and not our reader, wears the top adapter; what lies below is merged."""
+    below = tuple(layer.folder for layer in stack.layers[:-1])
+    base = Base(stack.base, stack.gguf, find_file(stack.base).sha256, below)
+    model, tokenizer = open_base(base, cache(), torch.float32)
+    return worn(model, stack.layers[-1].folder), tokenizer
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:

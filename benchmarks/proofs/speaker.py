@@ -74,7 +74,7 @@ class Speaker:
         from dualbrain.adaptation.serving.local_transformers import dressed  # noqa: PLC0415
 
         model, tokenizer = dressed(self._stack, folders.cache())
-        return model.merge_and_unload() if self._stack.layers else model, tokenizer, vocabulary_of(tokenizer)
+        return model, tokenizer, vocabulary_of(tokenizer)
 
 
 def grammar_of(question: Sample) -> str:

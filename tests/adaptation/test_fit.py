@@ -1,5 +1,6 @@
 """A fit ends as if it had never been interrupted, whatever interrupts it, and loses nothing when it cannot go on."""
 
+import functools
 import hashlib
 import json
 import os
@@ -18,13 +19,16 @@ from dualbrain.errors import InvalidSetup
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
+from peft import LoraConfig  # noqa: E402
 from safetensors.torch import save  # noqa: E402
 
+from dualbrain.adaptation.fitting import learner as learner_room  # noqa: E402
 from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
 from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
 from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, STATES, Diverged  # noqa: E402
 from dualbrain.adaptation.fitting.stored import unpacked  # noqa: E402
 from dualbrain.adaptation.fitting.worn import worn  # noqa: E402
+from dualbrain.adaptation.serving.peft_lora import read_lora  # noqa: E402
 from tests.adaptation.bench import Bench, dataset, dials, exactly, sample  # noqa: E402
 from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
 
@@ -271,12 +275,20 @@ def test_four_contracts_are_learnt_by_heart(tmp_path):
     assert all(map(exactly, bench.learner.answer(prompts, 20), rows))
 
 
+def test_a_fit_whose_adapter_could_not_be_served_does_not_begin(monkeypatch):
+    """As with a peft that knows more than this reader, and has it on."""
+    monkeypatch.setattr(learner_room, "LoraConfig", functools.partial(LoraConfig, use_dora=True))
+    with pytest.raises(InvalidSetup, match="use_dora"):
+        learner()
+
+
 def test_an_adapter_is_what_peft_loads(tmp_path):
     """To the bit, once its numbers are rounded to those of the file."""
     one = moved(learner())
     write_adapter(one, tmp_path / "adapter", base="sha256 of the base")
     one.wear({name: tensor.to(torch.bfloat16).float() for name, tensor in one.adapter().items()})
     loaded = worn(model(), tmp_path / "adapter")
+    assert len(read_lora(tmp_path / "adapter")) == len(one.adapter()) / 2
     batch = collate(samples(3), one.padding)
     mask = batch.ids != one.padding
     with torch.no_grad():

@@ -1,6 +1,7 @@
 """The converter: what llama.cpp computes with the adapter is what torch computes; anything else is refused by name."""
 
 # ruff: noqa: E402  (nothing is imported where the extras are missing)
+import dataclasses
 import json
 import math
 import os
@@ -18,11 +19,12 @@ for part in ("torch", "peft", "gguf", "xllamacpp"):
 import gguf
 import torch
 import xllamacpp
+from peft import LoraConfig
 from safetensors.torch import load_file, save_file
 
 from dualbrain.adaptation.durable import DiskFull
 from dualbrain.adaptation.serving.gguf_lora import convert, permuted
-from dualbrain.adaptation.serving.peft_lora import CONFIG, WEIGHTS, read_lora
+from dualbrain.adaptation.serving.peft_lora import CONFIG, PLAIN, READ, WEIGHTS, read_lora, require_plain
 from dualbrain.errors import InvalidSetup, MissingPart
 from tests.adaptation.tiny_gguf import KINDS, fitted, interleaved, model, write_gguf
 
@@ -126,7 +128,9 @@ B = A.replace("lora_A", "lora_B")
         {"peft_type": "VERA"}, {"r": 8}, {"target_parameters": ["x"]}, {"r": None}, {"r": True},
         {"lora_alpha": float("nan")}, {"lora_alpha": float("inf")}, {"lora_alpha": 1e39}, {"lora_alpha": -1.0},
         {"lora_alpha": "16"}, {"lora_alpha": None}, {"rank_pattern": {"(": 2}}, {"rank_pattern": [1]},
-        {"alpha_pattern": {".*": "x"}},
+        {"alpha_pattern": {".*": "x"}}, {"peft_type": "IA3"}, {"layers_to_transform": [0]}, {"layers_to_transform": 0},
+        {"layers_pattern": "layers"}, {"exclude_modules": ["q_proj"]}, {"init_lora_weights": "pissa"},
+        {"use_bdlora": {}, "kasa_config": {"x": 1}}, {"unheard_of": 16},
     ],
     ids=str,
 )  # fmt: skip
@@ -134,6 +138,42 @@ def test_what_is_not_plain_lora_is_refused(whole, tmp_path, config):
     with pytest.raises(InvalidSetup, match="LoRA"):
         convert(changed(whole, tmp_path, config), whole / "base.gguf", tmp_path / "out.gguf")
     assert not (tmp_path / "out.gguf").exists()
+
+
+def test_every_setting_that_peft_has_is_known_and_none_that_may_change_the_answer_passes():
+    """As peft is installed here; its own defaults are plain LoRA."""
+    fields = {one.name for one in dataclasses.fields(LoraConfig)}
+    assert fields >= READ | set(PLAIN)
+    plain = LoraConfig(target_modules=["q_proj"]).to_dict()
+    require_plain(plain)
+    for setting in fields - READ:
+        with pytest.raises(InvalidSetup, match=setting):
+            require_plain(plain | {setting: "anything"})
+
+
+@pytest.mark.parametrize("setting", ["rank_pattern", "alpha_pattern"])
+@pytest.mark.parametrize("key", ["(([a-z._0-9])+)+!", ".*", "q_proj|k_proj", "q_pröj", "q_proj\n", "", "a^b"])
+def test_a_pattern_that_is_no_name_is_refused_by_name_and_never_run(whole, tmp_path, setting, key):
+    """The first of them would be tried out for years."""
+    folder = changed(whole, tmp_path, {setting: {key: 4}})
+    with pytest.raises(InvalidSetup) as refused:
+        read_lora(folder)
+    assert refused.value.got == key
+
+
+def test_a_pattern_may_name_a_layer_from_its_beginning(whole, tmp_path):
+    folder = changed(whole, tmp_path, {"alpha_pattern": {"^model.layers.0.self_attn.q_proj": 24, "^q_proj": 96}})
+    ours, before = read_lora(folder), read_lora(whole / "adapter")
+    scaled = {name: np.abs(ours[name].b).max() / np.abs(before[name].b).max() for name in ours}
+    assert scaled.pop("model.layers.0.self_attn.q_proj") == pytest.approx(2.0)
+    assert set(scaled.values()) == {1.0}
+
+
+def test_a_config_too_deep_to_be_read_is_refused(whole, tmp_path):
+    folder = changed(whole, tmp_path)
+    (folder / CONFIG).write_text("[" * 100_000)
+    with pytest.raises(InvalidSetup, match=r"LoRA adapter_config\.json"):
+        read_lora(folder)
 
 
 @pytest.mark.parametrize(

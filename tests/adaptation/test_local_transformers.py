@@ -9,7 +9,10 @@ import pytest
 
 for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
     pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
+import torch
+from safetensors.torch import load_file, save_file
 
+from dualbrain.adaptation.adapter_card import CONFIG, WEIGHTS, weights_id, write_card
 from dualbrain.adaptation.serving import local_transformers
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.local_transformers import TorchConfig, TorchPlanner
@@ -21,8 +24,7 @@ from dualbrain.planner.llama import LlamaConfig
 from dualbrain.planner.prompt import template_hash
 from dualbrain.planner.reading import template_of
 from dualbrain.planner.short_prompt import short_template_hash
-from tests.adaptation import tiny_served
-from tests.adaptation.tiny import tokenizer
+from tests.adaptation import tiny_gguf, tiny_served
 from tests.adaptation.tiny_gguf import model
 from tests.planner.questions import REGISTRY, request
 
@@ -33,10 +35,10 @@ ASKED = request(schema={"type": "object", "properties": {"action_sequence": SHOR
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A home with the tiny base and an adapter; torch gets the base's weights directly."""
+    """A home with the tiny base and an adapter."""
+    tiny_gguf.read_by_transformers(monkeypatch)
     tiny_served.base(tmp_path / "cache", monkeypatch)
     tiny_served.adapter(model("llama"), tmp_path / "fit")
-    monkeypatch.setattr(local_transformers, "open_base", lambda *told: (model("llama"), tokenizer()))
     return tmp_path
 
 
@@ -86,6 +88,42 @@ def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_answered(home):
     assert opened.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
     with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
         open_planner(name, home / "cache", **told)
+
+
+def opened(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    return open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [{"peft_type": "IA3"}, {"layers_to_transform": [0]}, {"use_dora": True}, {"rank_pattern": {"(a+)+!": 4}}, None],
+    ids=str,
+)
+def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
+    path = home / "fit" / CONFIG
+    path.write_text("{" if told is None else json.dumps(json.loads(path.read_bytes()) | told))
+    with pytest.raises(InvalidSetup, match="LoRA"):
+        opened(home)
+
+
+@pytest.mark.parametrize(
+    ("rows", "name", "word"),
+    [(258, "lm_head", "LoRA layer"), (64, "model.layers.7.self_attn.q_proj", "LoRA layer"),
+     (1, "model.layers.0.self_attn.q_proj", "LoRA of model.layers.0")],
+)  # fmt: skip
+def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, name, word):
+    """A single row would be added to all of them."""
+    tensors = load_file(home / "fit" / WEIGHTS) | {
+        f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape) for half, shape in
+        (("A", (4, 64)), ("B", (rows, 4)))
+    }  # fmt: skip
+    card = stack_of(home / "fit", home / "cache").top
+    save_file(tensors, home / "fit" / WEIGHTS)
+    write_card(msgspec.structs.replace(card, id=weights_id(home / "fit")), home / "fit")
+    planner = opened(home)
+    with pytest.raises(InvalidSetup, match=word):
+        planner.propose(ASKED)
 
 
 def test_it_is_opened_by_name(home):

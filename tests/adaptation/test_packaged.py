@@ -6,6 +6,7 @@ from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
 from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.serving.peft_lora import read_lora
 from dualbrain.runtime import starter
 from dualbrain.runtime.classroom import ROBOTS, lessons
 from dualbrain.runtime.proposals import ROBOT
@@ -37,6 +38,7 @@ def test_it_is_what_its_card_says(name, card):
     assert card.bootstrapped
     assert set(card.sources) == {"templates"}
     assert card.config == MADE[name][0]
+    assert read_lora(packaged_folder(name))
     assert (packaged_folder(name) / WEIGHTS).stat().st_size <= LARGEST
 
 

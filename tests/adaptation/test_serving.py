@@ -22,19 +22,19 @@ from dualbrain.adaptation.adapter_card import WEIGHTS, write_card
 from dualbrain.adaptation.adapters import BARE, Adapters
 from dualbrain.adaptation.bases import find_base, hash_of_base
 from dualbrain.adaptation.promotion import Decision
-from dualbrain.adaptation.serving import gguf_cache, merged_gguf, packaged
+from dualbrain.adaptation.serving import gguf_cache, merged_gguf, opening, packaged
 from dualbrain.adaptation.serving.adapted import NotItself
 from dualbrain.adaptation.serving.canary import Record
 from dualbrain.adaptation.serving.gguf_base import write_out
 from dualbrain.adaptation.serving.gguf_cache import served, worn
 from dualbrain.adaptation.serving.layers import stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
-from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, watch_of, wear
+from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, shadow_log, watch_of, wear
 from dualbrain.adaptation.serving.speaking import say
 from dualbrain.errors import InvalidSetup, UnknownName, WrongHash
 from dualbrain.planner import protocol
 from dualbrain.planner.asking import FREE, SHORT
-from dualbrain.planner.llama import LlamaConfig
+from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
 from tests.adaptation import tiny_served
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import model
@@ -278,8 +278,12 @@ def test_names(place):
     assert planner.card == card
     planner.close()
     registry.roll_back((card.robot, card.base_sha256), "a test", now=3.0)
-    for name in ("adapter:zz", "nobody"):
-        with pytest.raises(UnknownName):
+    for name, known in (
+        ("adapter:zz", first[:16]), ("nobody", r"a GGUF file or URL also works.*base-135m.*shadow:.*transformers:"),
+        ("foo+http://h/v1", "not a dialect.*vllm"), ("transformers:nobody", "not a planner in torch.*adapter:champion"),
+        ("shadow:zz", first[:16]), (f"shadow:{first}@foo+http://h/v1", "not a dialect.*vllm"),
+    ):  # fmt: skip
+        with pytest.raises(UnknownName, match=known):
             open_planner(name, place / "cache", adapters=place / "adapters", robot="panda", registry=REGISTRY.hash)
     assert second != first
 
@@ -311,6 +315,80 @@ def test_a_canary_is_recorded_once_and_compared_at_every_start(place, apart):
         path.write_text(json.dumps(told))
         with pytest.raises(NotItself, match="does not answer as it did"):
             opened(place, f"adapter:{card.id}", adapters=home / "adapters")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda told: "{", lambda told: "", lambda told: '"\xff', lambda told: "[" * 100_000,
+        lambda told: json.dumps(told | {"adapter": "b" * 64}), lambda told: json.dumps(told | {"runtime": "another"}),
+        lambda told: json.dumps(told | {"canaries": []}),
+        lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"tokens": [], "margins": []}]}),
+        lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"margins": []}]}),
+        lambda told: json.dumps(told | {"canaries": [told["canaries"][0] | {"question": 4}]}),
+    ],
+    ids=["torn", "empty", "no text", "too deep", "adapter", "runtime", "none", "no tokens", "no margins", "question"],
+)  # fmt: skip
+def test_a_damaged_record_is_a_broken_setup_and_not_recorded_anew(place, apart, processes, damage):
+    home, card = apart
+    opened(place, f"adapter:{card.id}", adapters=home / "adapters").close()
+    (path,) = (home / "adapters" / "canaries").iterdir()
+    path.write_text(damage(json.loads(path.read_text())), "latin-1")
+    damaged = path.read_bytes()
+    with pytest.raises(InvalidSetup, match=f"canaries of adapter {card.id[:16]}.*delete it.*{path}"):
+        opened(place, f"adapter:{card.id}", adapters=home / "adapters")
+    assert path.read_bytes() == damaged
+    assert not any(map(runs, processes))
+
+
+def test_a_record_that_is_damaged_while_it_serves_is_why_there_is_no_answer(place, apart):
+    home, card = apart
+    planner = opened(place, f"adapter:{card.id}", adapters=home / "adapters")
+    try:
+        os.kill(planner._inner.pid, signal.SIGKILL)
+        assert planner.propose(request()).finish_reason == protocol.CRASHED
+        (path,) = (home / "adapters" / "canaries").iterdir()
+        path.write_text("{")
+        assert "not the adapter it was: canaries of adapter" in planner.propose(request()).finish_reason
+    finally:
+        planner.close()
+
+
+@pytest.fixture
+def processes(monkeypatch):
+    """All processes that are started from now on."""
+    started = []
+
+    def start(planner):
+        started.append(begin(planner))
+        return started[-1]
+
+    begin = LlamaPlanner._start
+    monkeypatch.setattr(LlamaPlanner, "_start", start)
+    return started
+
+
+def runs(process):
+    return process._process.poll() is None
+
+
+def test_whatever_fails_while_it_is_opened_no_process_is_left(place, tmp_path, processes, monkeypatch):
+    adapters, (first, second) = place / "adapters", ids(place)
+    told = {"adapters": adapters, "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    with pytest.raises(UnknownName, match="nobody"):
+        open_planner(f"shadow:{first}@nobody", place / "cache", **told)
+    assert len(processes) > 0
+    log = shadow_log(adapters, first)
+    log.mkdir(parents=True)
+    with pytest.raises(InvalidSetup, match="log of the shadow"):
+        open_planner(f"shadow:{first}@adapter:{second}", place / "cache", **told)
+    log.rmdir()
+    before = len(processes)
+    monkeypatch.setattr(opening, "runtime_of", lambda model: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        opened(place, f"adapter:{first}")
+    assert len(processes) == before + 1
+    assert not any(map(runs, processes))
 
 
 def test_a_process_that_wears_another_adapter_is_found_out(place, apart, monkeypatch):

@@ -2,14 +2,14 @@
 
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.serving.adapted import AdaptedPlanner
+from dualbrain.adaptation.serving.adapted import AdaptedPlanner, NotItself
 from dualbrain.planner import llama, llama_process, protocol
 from dualbrain.planner.asking import FREE
 from dualbrain.planner.chat import Answer
@@ -61,6 +61,12 @@ LOST = {
     "dies": protocol.CRASHED, "dies while it tells": protocol.CRASHED, "hangs": protocol.TIMEOUT,
     "cannot": protocol.ERROR, "dies when asked": protocol.CRASHED, "hangs when asked": protocol.TIMEOUT,
 }  # fmt: skip
+
+
+CARD = AdapterCard(
+    "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
+    "float32", 7, None, AdaptConfig(), {},
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -124,14 +130,19 @@ def test_a_signal_that_a_system_short_of_memory_sends_is_told_as_one() -> None:
     assert ending(3) == "exit code 3"
 
 
+@pytest.mark.parametrize("faulty", [lambda planner: "another", lambda planner: 1 / 0], ids=["fault", "raises"])
+def test_no_child_is_left_of_an_adapter_that_is_not_itself(
+    planner: LlamaPlanner, faulty: Callable[[LlamaPlanner], str]
+) -> None:
+    with pytest.raises((NotItself, ZeroDivisionError)):
+        AdaptedPlanner(planner, CARD, faulty)
+    assert planner.pid is None
+
+
 def test_an_adapter_whose_canary_was_lost_proposes_again_with_the_next_child(
     planner: LlamaPlanner, model: Path
 ) -> None:
-    card = AdapterCard(
-        "a" * 64, "tiny", "b" * 64, REGISTRY.robot, REGISTRY.hash, short_template_hash(), "d" * 64, {}, False,
-        "float32", 7, None, AdaptConfig(), {},
-    )  # fmt: skip
-    adapted = AdaptedPlanner(planner, card, told)
+    adapted = AdaptedPlanner(planner, CARD, told)
     planner.close()
     model.write_text("dies when asked")
     assert adapted.propose(request()).finish_reason == f"error: not the adapter it was: {protocol.CRASHED}"

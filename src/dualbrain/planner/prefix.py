@@ -3,7 +3,8 @@
 Reading the rules and examples costs a small machine a minute; restoring the state costs milliseconds (30 KB a token). A
 state is valid only for the same model, adapters, scales, runtime and text, so the file is named by the hash of them
 all: nothing else can be found under that name (llama.cpp itself would restore a state under any adapter). A model whose
-SHA-256 was verified is known by that, a file of somebody's own by name, size and date. The name has two parts, one for
+SHA-256 was verified is known by that, a file of somebody's own by name, size and date. Beside it stands the SHA-256 of
+what was saved, for llama.cpp also restores a damaged state without a word. The name has two parts, one for
 the rules and one for the examples after them: where recalled exemplars stand in their place, a state with the same
 rules serves as well, and the server reads on from where the two part. A server that cannot restore it reads the prompt
 as if there were none.
@@ -14,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -30,7 +32,10 @@ KEPT = 6
 
 
 class PrefixStore:
-    """Saves and restores slot 0 of the llama.cpp server at `address` in `folder`; does nothing without a folder."""
+    """Saves and restores slot 0 of the llama.cpp server at `address` in `folder`; does nothing without a folder.
+
+    Other processes may save and prune in the same folder at any time.
+    """
 
     def __init__(
         self, folder: Path | None, model: Path, n_ctx: int, address: str, key: str, *, asking: Asking = FULL,
@@ -42,8 +47,9 @@ class PrefixStore:
     def restore(self, request: PlanRequest) -> bool:
         """Load a state for `request`, if there is one: of the same beginning, else the newest of the same rules."""
         path = self.path(request)
-        found = [] if path is None else [path] if path.is_file() else self._of_rules(path)
-        return bool(found) and self._tell("restore", found[0])
+        found = [] if path is None else [path, *self._of_rules(path)]
+        whole = next((one for one in found if _is_whole(one)), None)
+        return whole is not None and self._tell("restore", whole)
 
     def save(self, request: PlanRequest) -> bool:
         """Keep the state that the server has after answering `request`, and no more than `KEPT` of the model.
@@ -51,11 +57,11 @@ class PrefixStore:
         Recalled exemplars change from question to question: with them it is kept only where none has the same rules.
         """
         path = self.path(request)
-        if path is None or path.is_file() or (request.recall.exemplars and self._of_rules(path)):
+        if path is None or _is_signed(path) or (request.recall.exemplars and self._of_rules(path)):
             return False
         for old in _newest_first(path.parent.glob(f"{self._model.stem}-*.slot"))[KEPT - 1 :]:
-            old.unlink()
-        return self._tell("save", path)
+            _remove(old)
+        return self._tell("save", path) and _sign(path)
 
     def path(self, request: PlanRequest) -> Path | None:
         """The file for all messages of `request` but the last, with this model, runtime and context size."""
@@ -73,7 +79,7 @@ class PrefixStore:
 
     def _of_rules(self, path: Path) -> list[Path]:
         """States with the same rules as `path`, the newest first."""
-        return _newest_first(path.parent.glob(f"{_rules(path)}-*.slot"))
+        return _newest_first(one for one in path.parent.glob(f"{_rules(path)}-*.slot") if _is_signed(one))
 
     def _tell(self, action: str, path: Path) -> bool:
         url = f"{self._address}/slots/0?action={action}"
@@ -97,4 +103,52 @@ def _rules(path: Path) -> str:
 
 
 def _newest_first(paths: Iterable[Path]) -> list[Path]:
-    return sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    """`paths` by date; one that was pruned meanwhile is left out."""
+    dated: list[tuple[int, Path]] = []
+    for path in paths:
+        with suppress(FileNotFoundError):
+            dated.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(dated, reverse=True)]
+
+
+def _signature(path: Path) -> Path:
+    """Where the SHA-256 of a state stands."""
+    return path.with_suffix(".sha256")
+
+
+def _is_signed(path: Path) -> bool:
+    return path.is_file() and _signature(path).is_file()
+
+
+def _sign(path: Path) -> bool:
+    """Write the SHA-256 of the state at `path` beside it; False, and no state, if that cannot be done."""
+    try:
+        _signature(path).write_text(_hash(path))
+    except OSError:
+        _remove(path)
+        return False
+    return True
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the state at `path` is as it was saved; one that is not is removed."""
+    if not _is_signed(path):
+        return False
+    with suppress(OSError, ValueError):
+        if _signature(path).read_text() == _hash(path):
+            return True
+    _remove(path)
+    return False
+
+
+def _hash(path: Path) -> str:
+    """SHA-256 of a file: some 50 ms for 50 MB."""
+    with path.open("rb") as data:
+        return hashlib.file_digest(data, "sha256").hexdigest()
+
+
+def _remove(path: Path) -> None:
+    """Remove a state, the signature first, whoever else does so; what stays does no harm."""
+    for one in (_signature(path), path):
+        with suppress(OSError):
+            one.unlink()

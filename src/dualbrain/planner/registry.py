@@ -16,6 +16,11 @@ SMALL_PLANNER = "smollm2-135m-instruct"
 """For tests; it does not plan unaided."""
 
 
+KIND = "planner"
+ALSO = "a GGUF file or URL also works"
+"""How an unknown name is told here and where more names are known."""
+
+
 def planner_names() -> tuple[str, ...]:
     """Names of the language models in the manifest."""
     return tuple(name for name, file in MANIFEST.items() if file.filename.endswith(".gguf"))
@@ -47,5 +52,5 @@ def open_planner(
     if name_or_url.endswith(".gguf"):
         return LlamaPlanner(Path(name_or_url).stem, Path(name_or_url), config)
     if name_or_url not in planner_names():
-        raise UnknownName("planner", name_or_url, planner_names(), owner="the manifest (a GGUF file or URL also works)")
+        raise UnknownName(KIND, name_or_url, planner_names(), owner=f"the manifest ({ALSO})")
     return LlamaPlanner(name_or_url, locate(name_or_url, cache), config)

@@ -44,7 +44,24 @@ def open_base(base: Base, cache: Path, dtype: Any, device: Any = "cpu", *, nf4: 
 
 @torch.no_grad()
 def merge(model: Any, lora: dict[str, Pair]) -> None:
-    """W ← W + BA for each layer that `lora` names (the scale stands in B already), in the numbers of the model."""
+    """W ← W + BA for each layer that `lora` names (the scale stands in B already), in the numbers of the model.
+
+    Raises `InvalidSetup` before any weight is changed, as the converter for llama.cpp does, for a pair that has no
+    place in the model or another size than its layer.
+    """
+    modules = dict(model.named_modules())
+    weights = {name: _linear(name, modules, model.get_output_embeddings()).weight for name in lora}
     for name, pair in lora.items():
-        weight = model.get_submodule(name).weight
-        weight += (torch.from_numpy(pair.b) @ torch.from_numpy(pair.a)).to(weight.dtype)
+        if weights[name].shape != (len(pair.b), pair.a.shape[1]):
+            got, allowed = f"A {pair.a.shape}, B {pair.b.shape}", f"out, in = {tuple(weights[name].shape)}"
+            raise InvalidSetup(f"LoRA of {name}", got=got, allowed=allowed, fix="It was made for another base.")
+    for name, pair in lora.items():
+        weights[name] += (torch.from_numpy(pair.b) @ torch.from_numpy(pair.a)).to(weights[name].dtype)
+
+
+def _linear(name: str, modules: dict[str, Any], head: Any) -> torch.nn.Linear:
+    """The linear layer called `name`; embeddings and the output matrix `head` are none that is adapted."""
+    found = modules.get(name)
+    if not isinstance(found, torch.nn.Linear) or found is head:
+        raise InvalidSetup("LoRA layer", got=name, allowed="a linear layer of this base's blocks")
+    return found

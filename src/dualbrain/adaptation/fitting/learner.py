@@ -15,6 +15,7 @@ from torch import Tensor
 from dualbrain.adaptation.config import FitDials
 from dualbrain.adaptation.fitting.batch import Encoded, collate, contract_states
 from dualbrain.adaptation.fitting.worn import unremarked
+from dualbrain.adaptation.serving.peft_lora import require_plain
 from dualbrain.errors import InvalidSetup
 
 EXACT = {torch.float32: 1e-3, torch.bfloat16: 2.0**-7}
@@ -31,6 +32,7 @@ class Learner:
         shape = LoraConfig(
             r=dials.rank, lora_alpha=dials.alpha, lora_dropout=0.0, target_modules="all-linear", task_type="CAUSAL_LM"
         )
+        require_plain(shape.to_dict())  # what could not be served is not worth a night
         with unremarked():
             self.model = get_peft_model(model, shape, autocast_adapter_dtype=False)
         self.model.eval()  # there is no dropout; what evaluation and training compute must be the same

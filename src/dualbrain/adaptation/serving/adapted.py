@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 
 from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.serving.fitness import require_fit
@@ -33,7 +34,8 @@ class AdaptedPlanner:
     """Proposes with the adapter of `card`.
 
     Each new process is checked before its first answer counts: at once when this is made, and again should it have had
-    to be started anew. Raises `NotItself`; later, that is the reason for which there is no answer.
+    to be started anew. Raises `NotItself`, and what the check raises; later, that is the reason for which there is no
+    answer.
     """
 
     def __init__(
@@ -43,12 +45,17 @@ class AdaptedPlanner:
         check: Check = lambda planner: "",
         narrowed: Mapping[str, str] = {},
     ) -> None:
-        """Let `inner`, which wears the adapter, propose, also in the vocabularies of `narrowed`."""
+        """Let `inner`, which wears the adapter, propose, also in the vocabularies of `narrowed`.
+
+        `inner` is closed if this raises.
+        """
         self._inner, self.card, self._check, self._narrowed = inner, card, check, narrowed
         self._checked: int | None = None
-        if fault := self._fault():
-            inner.close()
-            raise NotItself(card.id, fault)
+        with ExitStack() as unless_itself:
+            unless_itself.callback(inner.close)
+            if fault := self._fault():
+                raise NotItself(card.id, fault)
+            unless_itself.pop_all()
 
     @property
     def name(self) -> str:
@@ -63,7 +70,7 @@ class AdaptedPlanner:
     def propose(self, request: PlanRequest) -> Proposal:
         """Answer `request`. Raises `InvalidSetup` for a robot or vocabulary that the adapter was not taught."""
         require_fit(self.card, request.robot, request.registry_hash, self._narrowed)
-        if fault := self._fault():
+        if fault := self._fault_in_words():
             return Proposal("", f"{protocol.ERROR}: not the adapter it was: {fault}", self.name, "", {"total": 0.0})
         return self._inner.propose(request)
 
@@ -74,6 +81,13 @@ class AdaptedPlanner:
     def close(self) -> None:
         """End the process."""
         self._inner.close()
+
+    def _fault_in_words(self) -> str:
+        """As `_fault`; what the check raises is a fault, too, for a robot may be waiting."""
+        try:
+            return self._fault()
+        except DualbrainError as error:
+            return str(error)
 
     def _fault(self) -> str:
         """What is wrong with the present process, if it has not been looked at yet."""

@@ -16,6 +16,7 @@ import msgspec
 from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.errors import InvalidSetup
 from dualbrain.planner.chat import Answer
 from dualbrain.planner.llama import LlamaPlanner
 from dualbrain.planner.short_prompt import render_short
@@ -71,7 +72,10 @@ class Watch:
         self._card, self._runtime, self._below = card, runtime, below
 
     def __call__(self, planner: LlamaPlanner, most: int = AT_START) -> str:
-        """What is wrong with the answers of `planner`, "" if nothing is; at most `most` canaries are asked."""
+        """What is wrong with the answers of `planner`, "" if nothing is; at most `most` canaries are asked.
+
+        Raises `InvalidSetup` for a damaged record, `DiskFull` for one that cannot be written.
+        """
         known = self.record()
         if known is None:
             return self._begin(planner)
@@ -81,12 +85,28 @@ class Watch:
         return ""
 
     def record(self) -> Record | None:
-        """What is recorded of this adapter in this runtime; a damaged record is none."""
+        """What is recorded of this adapter in this runtime, None before its first start; raises `InvalidSetup`.
+
+        A record that is damaged, or of somebody else, is never replaced by whatever answers now.
+        """
         try:
             found = msgspec.json.decode(self.path.read_bytes(), type=Record)
-        except (OSError, msgspec.DecodeError):
+        except FileNotFoundError:
             return None
-        return found if (found.adapter, found.runtime) == (self._card.id, self._runtime) else None
+        except (OSError, ValueError, RecursionError) as error:
+            raise self._damaged(str(error)) from error
+        if (found.adapter, found.runtime) != (self._card.id, self._runtime):
+            raise self._damaged(f"the record of {found.adapter[:16]} in {found.runtime}")
+        if not found.canaries or not all(map(_can_be_asked, found.canaries)):
+            raise self._damaged("canaries that cannot be asked")
+        return found
+
+    def _damaged(self, got: str) -> InvalidSetup:
+        fix = (
+            f"Fetch it from a backup, or, if you trust what serves now, delete it: the next start records anew. "
+            f"{self.path}"
+        )
+        return InvalidSetup(f"canaries of adapter {self._card.id[:16]}", got=got, allowed="as first recorded", fix=fix)
 
     def _begin(self, planner: LlamaPlanner) -> str:
         """Record the canaries, the longest clear answer first."""
@@ -123,6 +143,11 @@ def ask(planner: LlamaPlanner, card: AdapterCard, number: int) -> Said | Answer:
     ]
     context = f'{{"id":"c-0001","context":{{"robot":"{card.robot}","registry":"{card.registry}"}},"action_sequence'
     return say(planner, [*turns, {"role": "assistant", "content": context}], longest=LONGEST)
+
+
+def _can_be_asked(canary: Canary) -> bool:
+    """Whether it is one that this program records."""
+    return canary.question in range(len(SCENES)) and 0 < len(canary.tokens) == len(canary.margins)
 
 
 def _clear(number: int, said: Said) -> Canary:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dualbrain.adaptation.adapter_card import AdapterCard, read_adapter_card
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.serving.peft_lora import read_lora
 from dualbrain.errors import InvalidSetup
 from dualbrain.weights import find_file, locate
 
@@ -47,11 +48,14 @@ def author_of(card: AdapterCard) -> str:
 
 
 def stack_of(folder: Path, cache: Path) -> Stack:
-    """The adapter in `folder` and everything it sits on, each found to be what its card names.
+    """The adapter in `folder` and everything it sits on, each plain LoRA and found to be what its card names.
 
-    Raises as `layers_of` does, and `MissingPart`, `WrongHash` for the base.
+    So what one engine refuses of an adapter, none serves. Raises as `layers_of` and `read_lora` do, and `MissingPart`,
+    `WrongHash` for the base.
     """
     layers = layers_of(folder)
+    for layer in layers:
+        read_lora(layer.folder)
     lowest = layers[0].card.base
     return Stack(lowest, locate(lowest, cache), layers)
 

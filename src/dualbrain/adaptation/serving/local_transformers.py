@@ -23,7 +23,6 @@ from dualbrain.adaptation.adapter_card import AdapterCard
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.fitting.base_model import open_base
 from dualbrain.adaptation.fitting.batch import prompt_ids
-from dualbrain.adaptation.fitting.worn import worn
 from dualbrain.adaptation.serving.ahead import Reply, speak
 from dualbrain.adaptation.serving.bound_decoding import Binding, llguidance, vocabulary_of
 from dualbrain.adaptation.serving.fitness import require_fit
@@ -39,13 +38,12 @@ from dualbrain.weights import find_file
 
 
 def dressed(stack: Stack, cache: Path) -> tuple[Any, Any]:
-    """Model and tokenizer in float32; the top adapter is worn, what lies below is part of the base, as when fitted."""
-    below = tuple(layer.folder for layer in stack.layers[:-1])
-    base = Base(stack.base, stack.gguf, find_file(stack.base).sha256, below)
-    model, tokenizer = open_base(base, cache, torch.float32)
-    if stack.layers:
-        model = worn(model, stack.layers[-1].folder)
-    return model, tokenizer
+    """Model and tokenizer in float32, with all adapters of `stack` in its weights, read as they are for llama.cpp.
+
+    Raises `InvalidSetup` for an adapter that has no place in the base, as the converter for llama.cpp does.
+    """
+    worn = tuple(layer.folder for layer in stack.layers)
+    return open_base(Base(stack.base, stack.gguf, find_file(stack.base).sha256, worn), cache, torch.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +152,8 @@ class TorchPlanner:
     def _load(self) -> tuple[Any, Any, Any]:
         if self._loaded is None:
             model, tokenizer = dressed(self.stack, self._cache)
-            merged = model.merge_and_unload() if self.stack.layers else model
             device = "cuda" if torch.cuda.is_available() else "cpu"
-            self._loaded = merged.to(device), tokenizer, vocabulary_of(tokenizer)
+            self._loaded = model.to(device), tokenizer, vocabulary_of(tokenizer)
         return self._loaded
 
     def _grammar(self, request: PlanRequest) -> str:

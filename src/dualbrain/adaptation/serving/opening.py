@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
 from dualbrain.adaptation.adapter_card import CONFIG, IN_TORCH, AdapterCard, hashes_beside
@@ -13,6 +14,7 @@ from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.gguf_cache import served, served_at, worn
 from dualbrain.adaptation.serving.layers import Stack, author_of, stack_of
 from dualbrain.adaptation.serving.names import (
+    CHAMPION,
     PREFIX,
     SHADOW,
     TORCH,
@@ -34,6 +36,8 @@ from dualbrain.weights import locate
 
 N_CTX = 4096
 """Tokens of context: the longest short prompt with its exemplars and the longest answer fit."""
+FORMS = (f"{PREFIX}ID", f"{PREFIX}{CHAMPION}", f"{SHADOW}ID@PLANNER", f"{TORCH}NAME")
+"""Names that are not spelt out in a list of those known."""
 CANARIES, SHADOWS = "canaries", "shadows"
 
 
@@ -54,14 +58,19 @@ def open_planner(
     config = LlamaConfig(threads=threads, n_ctx=N_CTX, timeout_s=timeout_s)
     if name.startswith(SHADOW):
         candidate, serving = shadow_parts(name)
-        shadow = open_adapter(
-            candidate, cache, adapters=adapters, robot=robot, registry=registry, config=config, narrowed=narrowed
-        )
-        served = open_planner(
-            serving, cache, adapters=adapters, robot=robot, registry=registry, key=key, dialect=dialect,
-            threads=threads, timeout_s=timeout_s, prefixes=prefixes, narrowed=narrowed,
-        )  # fmt: skip
-        return Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
+        with ExitStack() as unless_both:
+            shadow = open_adapter(
+                candidate, cache, adapters=adapters, robot=robot, registry=registry, config=config, narrowed=narrowed
+            )
+            unless_both.callback(shadow.close)
+            served = open_planner(
+                serving, cache, adapters=adapters, robot=robot, registry=registry, key=key, dialect=dialect,
+                threads=threads, timeout_s=timeout_s, prefixes=prefixes, narrowed=narrowed,
+            )  # fmt: skip
+            unless_both.callback(served.close)
+            both = Shadowed(served, shadow, shadow_log(adapters, shadow.card.id))
+            unless_both.pop_all()
+            return both
     if name.startswith(TORCH):
         within = (threads, timeout_s)
         return _in_torch(
@@ -76,8 +85,10 @@ def open_planner(
             name, cache, key=key, dialect=dialect, threads=threads, timeout_s=timeout_s, prefixes=prefixes
         )
     except UnknownName as error:
-        known = (*plain.planner_names(), *packaged_names(), f"{PREFIX}ID", f"{PREFIX}champion")
-        raise UnknownName("planner", name, known, owner="this installation") from error
+        if error.kind != plain.KIND:  # of an address, which has a list of its own
+            raise
+        known = (*plain.planner_names(), *packaged_names(), *FORMS)
+        raise UnknownName(plain.KIND, name, known, owner=f"this installation ({plain.ALSO})") from error
 
 
 def unbinds(name: str) -> bool:
@@ -108,8 +119,12 @@ def open_adapter(
     if robot:
         require_fit(card, robot, registry, narrowed)
     chosen = config or LlamaConfig(n_ctx=N_CTX)
-    planner = wear(stack, cache, chosen, called=author(name, stack), asking=asking)
-    return AdaptedPlanner(planner, card, watch_of(planner, stack, cache, adapters, chosen), narrowed)
+    with ExitStack() as unless_itself:
+        planner = wear(stack, cache, chosen, called=author(name, stack), asking=asking)
+        unless_itself.callback(planner.close)
+        adapted = AdaptedPlanner(planner, card, watch_of(planner, stack, cache, adapters, chosen), narrowed)
+        unless_itself.pop_all()
+        return adapted
 
 
 def _in_torch(
@@ -130,7 +145,7 @@ def _in_torch(
     full, short = (unbound(FULL), unbound(SHORT)) if free else (FULL, SHORT)
     if not is_adapter(name):
         if name not in (models := plain.planner_names()):
-            known = (*models, *packaged_names(), f"{PREFIX}ID")
+            known = (*models, *packaged_names(), f"{PREFIX}ID", f"{PREFIX}{CHAMPION}")
             raise UnknownName("planner in torch", name, known, owner="this installation")
         return TorchPlanner(name + IN_TORCH, Stack(name, locate(name, cache), ()), cache, full, config)
     stack = stack_of(folder_of(name, Adapters(adapters), robot), cache)

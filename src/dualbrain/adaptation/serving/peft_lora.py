@@ -20,13 +20,16 @@ from dualbrain.errors import InvalidSetup, MissingPart
 
 WEIGHTS, CONFIG = "adapter_model.safetensors", "adapter_config.json"
 NAME = re.compile(r"base_model\.model\.(.+)\.lora_([AB])\.weight")
-PLAIN: dict[str, tuple[Any, ...]] = {
-    "use_dora": (False,), "use_qalora": (False,), "modules_to_save": (None, []), "fan_in_fan_out": (False,),
-    "bias": ("none",), "lora_bias": (False,), "alora_invocation_tokens": (None, []),
-    "trainable_token_indices": (None, [], {}), "layer_replication": (None, []), "target_parameters": (None, []),
-    "megatron_config": (None,), "arrow_config": (None,), "lora_ga_config": (None,),
-}  # fmt: skip
-"""What each setting of peft must be, if it is there: anything else changes what the adapter computes."""
+PATTERN = re.compile(r"\^?[A-Za-z0-9_.]+")
+"""A layer's name as a key of peft's patterns, with the ^ of its own examples; any other expression may run forever."""
+READ = frozenset({
+    "peft_type", "r", "lora_alpha", "use_rslora", "rank_pattern", "alpha_pattern", "target_modules", "task_type",
+    "base_model_name_or_path", "revision", "peft_version", "auto_mapping", "inference_mode", "lora_dropout",
+    "megatron_core", "qalora_group_size",
+})  # fmt: skip
+"""Settings of peft that are read here, or that say nothing of what is computed."""
+PLAIN: dict[str, tuple[Any, ...]] = {"bias": ("none",), "init_lora_weights": (True, False, "gaussian")}
+"""What two more must be; every other setting, also one not heard of, must be off: it may change what is computed."""
 
 Matrix = NDArray[np.float32]
 
@@ -43,7 +46,8 @@ def read_lora(folder: Path) -> dict[str, Pair]:
     """The pairs of the adapter in `folder` by the name of their layer, such as `model.layers.0.self_attn.q_proj`.
 
     Raises `InvalidSetup` for a file that cannot be read and for everything that is not plain LoRA: DoRA, biases, whole
-    modules, tensors of other names, pairs that are not whole, ranks other than the config's, what is no number.
+    modules, a choice of layers, settings not heard of, patterns that are no names, tensors of other names, pairs that
+    are not whole, ranks other than the config's, what is no number. Raises `MissingPart`.
     """
     shape = _config(folder)
     halves: dict[str, dict[str, Matrix]] = {}
@@ -63,14 +67,27 @@ def _config(folder: Path) -> dict[str, Any]:
         raise MissingPart(f"{CONFIG} of the adapter", fix=f"An adapter is a folder that peft wrote. {folder}")
     try:
         shape = json.loads(path.read_bytes())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise _refused(CONFIG, str(error), "JSON as peft writes it") from error
     if not isinstance(shape, dict) or shape.get("peft_type") != "LORA":
         raise _refused("peft_type", shape.get("peft_type") if isinstance(shape, dict) else shape, "LORA")
-    for setting, allowed in PLAIN.items():
-        if setting in shape and shape[setting] not in allowed:
-            raise _refused(setting, shape[setting], "plain LoRA only")
+    require_plain(shape)
     return shape
+
+
+def require_plain(shape: dict[str, Any]) -> None:
+    """Raise `InvalidSetup` for a setting in peft's config by which an adapter computes more than h + s B A x."""
+    for setting, value in shape.items():
+        if setting in PLAIN and value not in PLAIN[setting]:
+            allowed = " or ".join(json.dumps(one) for one in PLAIN[setting])
+            raise _refused(setting, value, f"plain LoRA only, with {allowed}")
+        if setting not in PLAIN and setting not in READ and not _off(value):
+            raise _refused(setting, value, "plain LoRA only, without it")
+
+
+def _off(value: object) -> bool:
+    """Whether a setting says nothing; the number 0 may be a layer."""
+    return value is None or value is False or value in ("", [], {})
 
 
 def _tensors(path: Path) -> list[tuple[str, Matrix]]:
@@ -131,15 +148,14 @@ def _number(name: str, value: Any) -> float:
 
 
 def _of_pattern(pattern: Any, module: str, default: Any) -> Any:
-    """The value for `module`: of the first pattern that its name ends in, as peft reads them."""
+    """The value for `module`: of the first pattern that its name ends in, as peft reads them: a dot is any letter."""
     if not isinstance(pattern, dict | None):
         raise _refused("pattern", pattern, "values by layer")
-    try:
-        matching = (value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module))
-        return next(matching, default)
-    except re.error as error:
-        raise _refused("pattern", str(error), "names of layers, or expressions for them") from error
+    for key in pattern or {}:
+        if PATTERN.fullmatch(key) is None:
+            raise _refused("pattern", key, "names of layers: letters, digits, dots, underscores")
+    return next((value for key, value in (pattern or {}).items() if re.match(rf"(.*\.)?({key})$", module)), default)
 
 
 def _refused(what: str, got: object, allowed: str) -> InvalidSetup:
-    return InvalidSetup(f"LoRA {what}", got=got, allowed=allowed, fix="This adapter cannot be served by llama.cpp.")
+    return InvalidSetup(f"LoRA {what}", got=got, allowed=allowed, fix="This adapter cannot be served.")
