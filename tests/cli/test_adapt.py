@@ -55,7 +55,9 @@ def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypat
     monkeypatch.setenv("COLUMNS", "24")
     lines = tell("adapt", "--dry-run")[2].splitlines()
     for row in rows:
-        assert any(line.split()[:3] == [row["id"][:8], row["part"], row["memory"]] for line in lines)
+        (line,) = (line for line in lines if line.startswith(row["id"][:8]))
+        assert line.split()[1:3] == [row["part"], row["memory"]]
+        assert f"{row['repeats']}×" in line
 
 
 def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
