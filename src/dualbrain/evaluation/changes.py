@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan, nan
+from math import isfinite, nan
 from typing import Any
 
 import msgspec
@@ -36,7 +36,7 @@ class Change:
         """What may be said of it: a direction only where the corrected p bears it."""
         if not isfinite(self.found.low + self.found.high):
             return "not known"
-        if _is_alike(self.found):
+        if self.found.alike:
             return "the same"
         if self.metric.name in OF_MACHINES:
             return "of the machine"
@@ -61,7 +61,7 @@ def changed(before: Sequence[Row], after: Sequence[Row]) -> list[Change]:
             found = compare(*paired(renamed, AFTER, BEFORE, BY_NAME[name].of), difference)
             if found.clusters:
                 told.append((method, BY_NAME[name], found))
-    corrected = holm([nan if metric.name in OF_MACHINES or _is_alike(found) else found.p for _, metric, found in told])
+    corrected = holm([nan if metric.name in OF_MACHINES or found.alike else found.p for _, metric, found in told])
     return [Change(*one, p) for one, p in zip(told, corrected, strict=True)]
 
 
@@ -107,11 +107,6 @@ def _told(value: Any) -> str:
             return " ".join(_told(one) for one in value.values() if one not in ([], {}))
         case _:
             return str(value)
-
-
-def _is_alike(found: Compared) -> bool:
-    """Whether no cluster differs."""
-    return not found.effect and isnan(found.dz)
 
 
 def _line(one: Change) -> tuple[str, ...]:
