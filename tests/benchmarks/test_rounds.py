@@ -247,7 +247,7 @@ ROWS = [
 
 def test_tables_come_from_the_rows_and_compare_the_same_places():
     text = "\n".join(rounds.Rounds().report(ROWS))
-    assert "| 0 | 1 | 4 | 50% (0% to 100%), n = 4 |" in text
+    assert "| 0 | 1 | 4 | 50% (12% to 88%), n = 4 |" in text
     assert "| 1 | 1 | 4 | 100% (" in text
     assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).startswith("-0.0010 (")
     assert rounds.changed("Δ of successes", ROWS[:1], ROWS[1:]).endswith(", 1")  # only where both did it

@@ -149,7 +149,7 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
 
     registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
     monkeypatch.setattr("dualbrain.cli.adapters.registry_of_adapters", lambda: registry)
-    monkeypatch.setattr(command, "_note", lambda *told: None)
+    monkeypatch.setattr(command, "_note", lambda *told: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
     night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
     monkeypatch.setattr(command, "adapt_with_torch", lambda: night)

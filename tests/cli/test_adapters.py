@@ -143,6 +143,7 @@ def measurable(monkeypatch):
     monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_prompt", lambda card: None)
     monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_fit", lambda *told: None)
     monkeypatch.setattr("dualbrain.adaptation.serving.layers.locate", lambda *told: None)
+    monkeypatch.setattr("dualbrain.adaptation.serving.layers.read_lora", lambda *told: ())
 
 
 @pytest.mark.parametrize("measured", [True, False])

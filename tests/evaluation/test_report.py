@@ -468,7 +468,7 @@ def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, c
     assert told["configuration"] == {what: {"before": a, "after": b} for what, a, b in lines}
     found = next(one for one in told["changes"] if one["metric"] == "success")
     assert found == {
-        "method": "B1", "metric": "success", "unit": "share", "change": 0.0, "low": None, "high": None, "p": None,
+        "method": "B1", "metric": "success", "unit": "rate", "change": 0.0, "low": None, "high": None, "p": None,
         "clusters": 1, "word": "not known",
     }  # fmt: skip
     assert call(["compare", *pair[:1] * 2]) == 0
