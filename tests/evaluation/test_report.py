@@ -370,6 +370,20 @@ def test_the_markdown_page_shows_pictures_that_lie_beside_it_and_escapes_what_it
     assert set(re.findall(r"var\((--[a-z]+)\)", chart)) <= set(re.findall(r"(--[a-z]+):", chart))
 
 
+def test_a_page_elsewhere_has_the_table_of_all_episodes_beside_it(rows, suite, tmp_path):
+    folder, page = tmp_path / "run", tmp_path / "page"
+    folder.mkdir()
+    write_table(rows, {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {}}, folder / FILE)
+    whole = (folder / FILE).read_bytes()
+    for place in (page, folder):
+        assert call(["report", str(folder), "--gallery", "0", "--page", str(place)]) == 0
+    assert (folder / FILE).read_bytes() == whole  # with its traces
+    flown, config, _ = results(page)
+    assert flown == [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in results(folder)[0]]
+    assert config["flown"] == flown_on(folder, {})
+    assert call(["report", str(page), "--page", str(page)]) == 0
+
+
 def test_a_page_made_again_from_a_table_without_traces_keeps_its_pictures_and_says_what_is_not_there(
     rows, suite, tmp_path, capsys
 ):

@@ -236,6 +236,7 @@ def _again(folder: Path, key: str, blind: str, *, as_json: bool) -> int:
     """One finished episode of the results in `folder` once more, as their own suite has it."""
     from dualbrain.cli.report import results, tell_left_out
     from dualbrain.evaluation.again import Watching, again, differs
+    from dualbrain.evaluation.failure import class_of
 
     flown, _, suite = results(folder, tell_left_out)
     rows = {row.key: row for row in flown}
@@ -251,7 +252,7 @@ def _again(folder: Path, key: str, blind: str, *, as_json: bool) -> int:
         account.print(f"{event.t:7.2f} s  {event.text}", markup=False)
     for violation in flight.episode.judgement.violations if flight.episode.judgement else ():
         account.print(f"violation {violation.kind} at {violation.start:.2f} s: {' × '.join(violation.bodies)}")
-    account.print(f"{row.failure or 'success'}: {'as recorded' if not other else '; '.join(other)}", markup=False)
+    account.print(f"{class_of(row) or 'success'}: {'as recorded' if not other else '; '.join(other)}", markup=False)
     if as_json:
         answer(msgspec.json.encode({"key": key, "same": not other, "differs": other}).decode())
     return Exit.SUCCESS if not other else Exit.FAILED_SAFELY

@@ -32,7 +32,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     gallery
         How many failures are flown again for a picture; default as the suite says, 0 for none.
     page
-        Where the Markdown page and its pictures go; default FOLDER/page.
+        Where the Markdown page and its pictures go; default FOLDER/page. A place that is named gets the table of all
+        episodes, too, without traces: what can be compared, reported and flown again.
     json
         Print one JSON object on stdout: the verdicts.
     """
@@ -42,6 +43,7 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     from dualbrain.dashboard.evaluation_page import PAGE, write_page
     from dualbrain.dashboard.evaluation_report import Told, write_evaluation
     from dualbrain.evaluation.plans import Plans
+    from dualbrain.evaluation.table_file import FILE, without_trace, write_table
     from dualbrain.evaluation.work import PLANS
 
     pages, account, left_out = page or folder / "page", Account(), list[str]()
@@ -58,6 +60,8 @@ def report(folder: Path, /, *, gallery: int = -1, page: Path | None = None, json
     told = Told(rows, suite, config, kept, shots, flown_on(folder, config), command_of(suite, folder), left_out)
     write_evaluation(folder / "report.html", told)
     write_page(pages, told)
+    if page is not None and page.resolve() != folder.resolve():
+        write_table(list(map(without_trace, rows)), config | {FLOWN: told.date}, page / FILE)
     for line in left_out:
         tell_left_out(line)
     for one in told.found:

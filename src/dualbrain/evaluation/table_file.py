@@ -34,6 +34,11 @@ def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None
     write_durably(path, written.getvalue())
 
 
+def without_trace(row: Row) -> Row:
+    """`row` with no h and δ over time, which are most of its bytes."""
+    return msgspec.structs.replace(row, trace_t=[], trace_h=[], trace_delta=[])
+
+
 def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
     """Rows and configuration of the file at `path`; raises `InvalidSetup` for a file that is none of ours."""
     _, io = _arrow()
