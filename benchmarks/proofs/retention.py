@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from dualbrain.adaptation.adapter_card import CARD
 from dualbrain.adaptation.serving.layers import Stack, stack_of
 from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
 from dualbrain.adaptation.serving.opening import N_CTX, wear
@@ -116,11 +117,13 @@ def taught(arm: str, seed: int, folder: Path) -> Stack:
 
 
 def _fitted(arm: str, seed: int, folder: Path) -> Path:
-    """The folder of an adapter."""
+    """The folder of an adapter; one that a proof has left is taken as it is, for that is what the proof measured."""
     if arm == BASE:
         return packaged_folder(BASE)
     if arm in LIVED:
         return fitted(arm, folder / Rounds.name)
     curve = folder / adapt_curve.AdaptCurve.name
-    adapt_curve.fit(arm, seed, adapt_curve.STEPS, curve)
-    return adapt_curve.place(arm, seed, adapt_curve.STEPS, curve) / "adapter"
+    left = adapt_curve.place(arm, seed, adapt_curve.STEPS, curve) / "adapter"
+    if not left.joinpath(CARD).is_file():
+        adapt_curve.fit(arm, seed, adapt_curve.STEPS, curve)
+    return left
