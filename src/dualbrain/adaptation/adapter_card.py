@@ -11,7 +11,7 @@ import msgspec
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.patience import HeldOut
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
 
 CARD, WEIGHTS, CONFIG = "adapter.json", "adapter_model.safetensors", "adapter_config.json"
 BESIDE = (CONFIG, CARD)
@@ -67,7 +67,7 @@ def read_adapter_card(folder: Path) -> AdapterCard:
     found = weights_id(folder)
     try:
         card = msgspec.json.decode(path.read_bytes(), type=AdapterCard)
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise InvalidSetup(
             "adapter card", got=str(error), allowed="as this program writes it", fix=str(path)
         ) from error
@@ -98,7 +98,7 @@ def worn_as(folder: Path) -> object:
     data = (folder / CONFIG).read_bytes()
     try:
         told = msgspec.json.decode(data, type=dict[str, object])
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return data
     return {name: value for name, value in told.items() if name != "peft_version"}
 

@@ -27,7 +27,7 @@ from dualbrain.adaptation.adapter_card import (
 )
 from dualbrain.adaptation.durable import DiskFull, sync_folder
 from dualbrain.adaptation.promotion import Decision
-from dualbrain.errors import DualbrainError, InvalidSetup, UnknownName
+from dualbrain.errors import UNREADABLE, DualbrainError, InvalidSetup, UnknownName
 
 JOURNAL, LOCK = "journal.jsonl", ".lock"
 FILES = (WEIGHTS, *BESIDE)
@@ -123,7 +123,7 @@ class Adapters:
         *lines, _torn = path.read_bytes().split(b"\n")
         try:
             return tuple(msgspec.json.decode(line, type=Entry) for line in lines)
-        except msgspec.DecodeError as error:
+        except UNREADABLE as error:
             raise InvalidSetup("adapter journal", got=str(error), allowed="as it was written", fix=str(path)) from error
 
     def champion(self, place: tuple[str, str]) -> str:

@@ -8,6 +8,7 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.chain import DamagedLedger
 from dualbrain.memory.derive import derive
 from dualbrain.memory.ledger import LedgerReader
@@ -59,7 +60,7 @@ def candidates(ledger: LedgerReader) -> Iterator[Candidate]:
     for memo in derive(ledger).memos:
         try:
             told = msgspec.json.decode(ledger.event(memo.seq).payload, type=_Stored).episode
-        except msgspec.DecodeError as error:
+        except UNREADABLE as error:
             raise DamagedLedger(f"unreadable: {error}", seq=memo.seq, path=str(ledger.path)) from error
         filtered = told.versions.get("filter") == "on"
         yield Candidate(

@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from dualbrain.adaptation.curate import Curation
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 Gate = Literal["none", "sample", "token"]
 """What entropy does to the loss: nothing; the paper's weight of a sample; EAFT's weight of a token."""
@@ -96,6 +96,6 @@ def read_config(path: Path) -> AdaptConfig:
     """The dials in the TOML file at `path`; raises `InvalidSetup` naming the dial that is wrong or unknown."""
     try:
         return msgspec.toml.decode(path.read_bytes(), type=AdaptConfig)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise InvalidSetup("adaptation config", got=str(error), allowed="the dials of `[curation]`, `[objective]`, "
                            "`[fit]`", fix=str(path)) from error  # fmt: skip

@@ -15,7 +15,7 @@ from dualbrain.adaptation.curate import Curated, Curation
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.sample import Sample, from_lines, to_lines
 from dualbrain.contracts.registry import Registry
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
 from dualbrain.planner.short_prompt import short_template_hash
 
 TRAIN, HELD_OUT, CARD = "train.jsonl", "held_out.jsonl", "dataset.json"
@@ -126,7 +126,7 @@ def read_card(folder: Path) -> DatasetCard:
         raise MissingPart(f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`.")
     try:
         return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup(
             "data set card", got=str(error), allowed="as this program writes it", fix=str(path)
         ) from error

@@ -63,7 +63,7 @@ def to_lines(samples: tuple[Sample, ...]) -> bytes:
 
 
 def from_lines(data: bytes) -> tuple[Sample, ...]:
-    """The samples of `data`; raises `msgspec.DecodeError`."""
+    """The samples of `data`; raises what is `UNREADABLE`."""
     return tuple(msgspec.json.decode(line, type=Sample) for line in data.splitlines() if line.strip())
 
 

@@ -15,7 +15,7 @@ from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
 from dualbrain.cli.run import PLANNER
-from dualbrain.errors import DualbrainError, InvalidSetup
+from dualbrain.errors import UNREADABLE, DualbrainError, InvalidSetup
 
 if TYPE_CHECKING:
     from dualbrain.adaptation.adapters import Adapters
@@ -215,7 +215,7 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
 
     try:
         results = msgspec.json.decode(measured.read_bytes(), type=Measured)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         allowed = "`candidate` and `champion`, each with `adapter`, `runtime`, `perplexity` and `trials`"
         raise InvalidSetup("results", got=str(error), allowed=allowed, fix=str(measured)) from error
     decision = decide(

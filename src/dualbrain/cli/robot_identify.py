@@ -16,7 +16,7 @@ from rich.table import Table
 from dualbrain import __version__
 from dualbrain.cli.exits import Exit
 from dualbrain.embodiment.body import Body, Tracking, encode, load_body
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 if TYPE_CHECKING:
     from dualbrain.world.drive import DriveKind
@@ -85,7 +85,7 @@ def _target(write: Path | None, body: Body) -> Body:
         return body
     try:
         return msgspec.json.decode(write.read_bytes(), type=Body)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup("body data file", got=str(error), allowed="JSON of a body", fix=str(write)) from error
 
 

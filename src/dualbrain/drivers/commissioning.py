@@ -16,7 +16,7 @@ import msgspec
 from dualbrain.drivers.catalogue import DriverKind
 from dualbrain.drivers.checklist import Checklist, limit_flaws
 from dualbrain.embodiment.body import Body, encode
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 VERSION = 1
 HOW = "Fill in a checklist at the arm: dualbrain robot commission CHECKLIST --driver … --site …"
@@ -77,7 +77,7 @@ def body_hash(body: Body) -> str:
 def _read(path: Path) -> Record:
     try:
         record = msgspec.json.decode(path.read_bytes(), type=Record)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise NotCommissioned("commissioning record", got=str(error), allowed="what was sealed", fix=HOW) from error
     if record.version != VERSION or record.seal != _seal(record):
         raise NotCommissioned("commissioning record", got="a seal that is not its own", allowed="unchanged", fix=HOW)

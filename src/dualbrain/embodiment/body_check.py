@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.embodiment.body import Body, Joint
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 Fault = tuple[str, object, str]
 FILE = "body.json"
@@ -27,7 +27,7 @@ def read_body(path: Path) -> Body:
         raise InvalidSetup("robot", got=str(path), allowed=f"a known name, a folder with {FILE}, or a body's JSON file")
     try:
         body = msgspec.json.decode(file.read_bytes(), type=Body)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
     for what, got, allowed in faults(body):
         raise InvalidSetup(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))

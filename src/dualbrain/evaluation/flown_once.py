@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.adaptation.durable import write_durably
+from dualbrain.errors import UNREADABLE
 from dualbrain.evaluation.case import Case
 from dualbrain.evaluation.method import Method
 from dualbrain.evaluation.row import Row
@@ -35,7 +36,7 @@ class FlownOnce:
             return None
         try:
             row = msgspec.json.decode(path.read_bytes(), type=Row)
-        except msgspec.DecodeError:
+        except UNREADABLE:
             return None  # damaged: flown again, and kept anew
         if row.key == key:  # flown before, and killed before it stood in the journal
             return row

@@ -8,6 +8,8 @@ from typing import Any
 
 import msgspec
 
+from dualbrain.errors import UNREADABLE
+
 Line = dict[str, Any]
 
 
@@ -28,7 +30,7 @@ class Journal:
         for number, line in enumerate(self.path.read_bytes().splitlines() if self.path.exists() else (), start=1):
             try:
                 found.append((number, msgspec.json.decode(line, type=Line)))
-            except msgspec.DecodeError:
+            except UNREADABLE:
                 continue  # cut off by a kill: its episode is flown again
         return found
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.adaptation.durable import write_durably
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import UNREADABLE, DualbrainError
 from dualbrain.planner.protocol import Planner, answered, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -80,7 +80,7 @@ def _read(path: Path) -> Kept | None:
     """What is kept at `path`, None where nothing is or what is there cannot be read."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Kept)
-    except (FileNotFoundError, msgspec.DecodeError):
+    except (FileNotFoundError, *UNREADABLE):
         return None
 
 

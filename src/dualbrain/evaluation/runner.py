@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from dualbrain.adaptation.durable import write_durably
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.crew import Crew
 from dualbrain.evaluation.host import host
@@ -165,7 +165,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """The configuration at `path`; raises `InvalidSetup`."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise _damaged(path, error) from error
 
 
@@ -186,7 +186,7 @@ def _frozen_epsilon(path: Path) -> dict[str, float]:
     """ε by robot as it was frozen; raises `InvalidSetup`."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, float])
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         fix = f"Delete it: it is found again from the same pilot. {path}"
         raise InvalidSetup("frozen epsilon", got=str(error), allowed="a number by robot", fix=fix) from error
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import UNREADABLE, InvalidSetup, UnknownName
 from dualbrain.evaluation.method import Method, find_method
 from dualbrain.evaluation.seeds import PILOT, START, TEST
 from dualbrain.world.families import Ask, Level, families_of, shown_by_depth
@@ -152,7 +152,7 @@ def read_suite(data: bytes, name: str) -> Suite:
     """The suite in `data`, checked."""
     try:
         suite = msgspec.toml.decode(data, type=Suite)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise InvalidSetup("suite", got=str(error), allowed="a suite as in docs/evaluation.md", fix=name) from error
     check_suite(suite)
     return suite

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
 from dualbrain.knowledge.hidden import Hidden
 from dualbrain.knowledge.refusal import Refused
 
@@ -64,7 +64,7 @@ def _in_a_child(data: bytes) -> Pages | Refused:
         return costly
     try:
         found = msgspec.json.decode(done.stdout, type=Pages)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         said = done.stderr.decode("utf-8", "replace")[-300:]
         raise InvalidSetup("the reader of PDF files", got=said, allowed="an answer") from error
     return found.refused or found

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator
 
 import msgspec
 
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.chain import DamagedLedger, Event
 from dualbrain.memory.events import ROLLBACK, STATUS_OF, VOID, WEIGHS, Rollback, Status, StatusChange
 from dualbrain.memory.ledger import LedgerReader
@@ -47,7 +48,7 @@ def rollbacks(ledger: LedgerReader) -> dict[int, int]:
     found = ledger.events("kind = ?", (ROLLBACK,))
     try:
         return {event.seq: msgspec.json.decode(event.payload, type=Rollback).target for event in found}
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise DamagedLedger(f"a rollback is unreadable: {error}", seq=None, path=str(ledger.path)) from error
 
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import msgspec
 
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.chain import Event
 
 STARTED, MARKED, ENDED, INTERRUPTED = "run_started", "run_marked", "run_ended", "run_interrupted"
@@ -40,7 +41,7 @@ def last_words(event: Event) -> str:
     if event.kind == MARKED:
         try:
             return repr(msgspec.json.decode(event.payload, type=_Mark).what)
-        except msgspec.DecodeError:
+        except UNREADABLE:
             return "a mark that cannot be read"
     return {STARTED: "its start", "episode": f"storing episode {event.subject}"}.get(event.kind, event.kind)
 

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.chain import Head
 from dualbrain.memory.encoder import Rows
 from dualbrain.memory.events import SNAPSHOT, SnapshotMark
@@ -79,7 +80,7 @@ def write(ledger: Ledger, snapshot: Snapshot, *, now: float) -> Path:
 
 def read(ledger: LedgerReader) -> Snapshot | None:
     """The newest snapshot that the chain vouches for; None if there is none, or it is damaged."""
-    with suppress(OSError, msgspec.DecodeError, ValueError, struct.error):
+    with suppress(OSError, *UNREADABLE, ValueError, struct.error):
         for event in reversed(list(ledger.events("kind = ?", (SNAPSHOT,)))[-1:]):
             mark = msgspec.json.decode(event.payload, type=SnapshotMark)
             return _read(_path(ledger, mark.as_of), mark, ledger)

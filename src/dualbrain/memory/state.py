@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable
 
 import msgspec
 
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.chain import DamagedLedger, Event
 from dualbrain.memory.events import (
     COMPACTED,
@@ -115,7 +116,7 @@ class State(msgspec.Struct):
         """Add one event; returns the rows it touched.
 
         Kinds that neither make a memory nor move anything are passed over. Raises `KeyError` for an unknown memory and
-        `msgspec.DecodeError` for a payload of another form.
+        what is `UNREADABLE` for a payload of another form.
         """
         self.seq = event.seq
         if event.kind == EPISODE:
@@ -190,7 +191,7 @@ def apply_all(events: Iterable[Event], path: str, apply: Callable[[Event], objec
     for event in events:
         try:
             apply(event)
-        except (msgspec.DecodeError, KeyError) as error:
+        except (*UNREADABLE, KeyError) as error:
             raise DamagedLedger(f"unreadable: {error}", seq=event.seq, path=path) from error
 
 

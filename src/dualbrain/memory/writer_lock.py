@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from dualbrain.errors import DualbrainError
+from dualbrain.errors import UNREADABLE, DualbrainError
 
 
 class Holder(msgspec.Struct, frozen=True):
@@ -114,5 +114,5 @@ def _read_holder(file: BinaryIO) -> Holder | None:
     file.seek(0)
     try:
         return msgspec.json.decode(file.read(), type=Holder)
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return None

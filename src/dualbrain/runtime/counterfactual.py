@@ -13,6 +13,7 @@ import msgspec
 from dualbrain.adaptation.durable import write_durably
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.schema import short_form
+from dualbrain.errors import UNREADABLE
 from dualbrain.memory.utility import Change, judge
 from dualbrain.planner.prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
@@ -82,5 +83,5 @@ def _contract(text: str) -> dict[str, Any] | None:
     """The JSON object in an answer, None if there is none."""
     try:
         return msgspec.json.decode(text, type=dict[str, Any])
-    except msgspec.DecodeError:
+    except UNREADABLE:
         return None

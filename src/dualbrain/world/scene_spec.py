@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.errors import UNREADABLE, InvalidSetup, UnknownName
 from dualbrain.records import UPRIGHT, Box, Place, Pose, Quaternion, Role, SceneObject, Shape, Vector
 
 SCHEMA_VERSION = 1
@@ -147,7 +147,7 @@ def load_scene(path: Path) -> SceneSpec:
         spec = msgspec.json.decode(path.read_bytes(), type=SceneSpec)
     except OSError as error:
         raise InvalidSetup("scene file", got=error.strerror, allowed="a readable JSON file", fix=str(path)) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except UNREADABLE as error:
         raise InvalidSetup(
             "scene file", got=str(error), allowed=f"a scene of schema version {SCHEMA_VERSION}", fix=str(path)
         ) from error

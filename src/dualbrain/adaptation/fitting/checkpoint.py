@@ -17,7 +17,7 @@ from dualbrain.adaptation.durable import write_durably
 from dualbrain.adaptation.fitting.run import Run
 from dualbrain.adaptation.fitting.stored import Damaged, packed, unpacked
 from dualbrain.adaptation.patience import Patience
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 ANEW = "Name another --out, or delete it to begin anew."
 
@@ -48,7 +48,7 @@ def load_checkpoint(path: Path, run: Run) -> tuple[Mark, dict[str, Tensor]] | No
     try:
         tensors, facts = unpacked(path)
         mark = msgspec.json.decode(facts.get("mark", ""), type=Mark)
-    except (Damaged, msgspec.DecodeError) as error:
+    except (Damaged, *UNREADABLE) as error:
         raise InvalidSetup("checkpoint", got=f"damaged: {error}", allowed="a whole one", fix=fix) from error
     if mark.run != run.key:
         parts = apart(mark.told, run.told)

@@ -22,7 +22,7 @@ from transformers.utils import logging
 
 from dualbrain.adaptation.bases import Base
 from dualbrain.adaptation.durable import DiskFull, sync_folder
-from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
 
 STAMP = "made.json"
 MAKERS = ("transformers", "gguf")
@@ -61,7 +61,7 @@ def _is_whole(folder: Path, base: Base) -> bool:
     try:
         made = msgspec.json.decode((folder / STAMP).read_bytes(), type=Made)
         return made == Made(base.gguf_sha256, _versions(), _hashes(folder))
-    except (OSError, msgspec.DecodeError):
+    except (OSError, *UNREADABLE):
         return False
 
 

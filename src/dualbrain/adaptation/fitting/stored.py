@@ -14,6 +14,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from dualbrain.errors import UNREADABLE
+
 LABEL = "label"
 """The one entry beside the tensors: the library writes several in an order that chance decides."""
 
@@ -47,7 +49,7 @@ def unpacked(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         if LABEL not in beside:
             return tensors, beside
         label = msgspec.json.decode(beside[LABEL], type=Label)
-    except (SafetensorError, msgspec.DecodeError) as error:
+    except (SafetensorError, *UNREADABLE) as error:
         raise Damaged(str(error)) from error
     if label.sha256 != checksum(tensors, label.facts):
         raise Damaged("its checksum is that of another content")

@@ -10,6 +10,7 @@ import msgspec
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.skill_spec import Name
+from dualbrain.errors import UNREADABLE
 
 SAID = frozenset({("hold", "duration"), ("turn_to", "heading")})
 """Numbers that the instruction gives; all others are the planner's to choose."""
@@ -42,7 +43,7 @@ def score(text: str, wanted: str, registry: Registry, accepts: Callable[[bytes],
     accepted = accepts(text.encode("utf-8", "surrogatepass"))
     try:
         found = msgspec.json.decode(text, type=Contract).action_sequence
-    except (msgspec.DecodeError, RecursionError):
+    except UNREADABLE:
         return Score(json=True, compliant=False, skills=False, named=False)
     skills = [action.skill for action in found] == [action.skill for action in goal]
     named = skills and all(_as_said(ours, theirs, registry) for ours, theirs in zip(found, goal, strict=True))

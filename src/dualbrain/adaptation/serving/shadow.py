@@ -14,7 +14,7 @@ from threading import Lock, Thread
 import msgspec
 
 from dualbrain.adaptation.adapter_card import IN_TORCH, AdapterCard
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 from dualbrain.planner.prompt import Message
 from dualbrain.planner.protocol import ERROR, STOP, Planner
 from dualbrain.planner.reading import messages_of, template_of
@@ -142,7 +142,7 @@ def glances(log: Path) -> tuple[Glance, ...]:
     *lines, _torn = log.read_bytes().split(b"\n")
     try:
         return tuple(msgspec.json.decode(line, type=Glance) for line in lines)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup("log of the shadow", got=str(error), allowed="as it was written", fix=str(log)) from error
 
 

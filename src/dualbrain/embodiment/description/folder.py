@@ -17,7 +17,7 @@ from dualbrain.embodiment.body_check import FILE, read_body
 from dualbrain.embodiment.description.changes import Change, changes, keep_edits
 from dualbrain.embodiment.description.page import page
 from dualbrain.embodiment.description.report import Report
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 
 MADE, RECIPE, REPORT, PAGE, PICTURE = "made.json", "recipe.json", "report.json", "README.md", "picture.png"
 
@@ -80,7 +80,7 @@ def read_report(folder: Path) -> tuple[Report | None, Recipe | None]:
             msgspec.json.decode(report.read_bytes(), type=Report) if report.is_file() else None,
             msgspec.json.decode(recipe.read_bytes(), type=Recipe) if recipe.is_file() else None,
         )
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup("report of the robot", got=str(error), allowed="as written", fix=str(folder)) from error
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.errors import UNREADABLE
 from dualbrain.records import Outcome, Scene
 from dualbrain.runtime.gatekeeper.frames import Frame
 
@@ -169,5 +170,5 @@ def read(frame: Frame, *, upward: bool) -> Message | str:
         return f"kind {frame.kind} is not spoken here"
     try:
         return _DECODERS[frame.kind].decode(frame.body)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+    except (*UNREADABLE, ValueError) as error:
         return f"kind {frame.kind}: {str(error)[:120]}"

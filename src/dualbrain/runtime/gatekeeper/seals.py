@@ -18,7 +18,7 @@ from struct import pack
 
 import msgspec
 
-from dualbrain.errors import InvalidSetup
+from dualbrain.errors import UNREADABLE, InvalidSetup
 from dualbrain.runtime.gatekeeper.messages import Propose
 
 NONCE = 16
@@ -47,7 +47,7 @@ def open_keys(path: Path) -> Keys:
         raise InvalidSetup("mode of the key file", got=oct(mode), allowed="0o600", fix=f"chmod 600 {path}")
     try:
         keys = msgspec.json.decode(path.read_bytes(), type=Keys)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise InvalidSetup("key file", got=str(error), allowed="what dualbrain wrote", fix=str(path)) from error
     if any(len(secret) < SECRET for secret in keys.secrets.values()):
         raise InvalidSetup("key file", got="a short secret", allowed=f"{SECRET} bytes or more", fix=str(path))

@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from dualbrain.errors import UNREADABLE
 from dualbrain.runtime.gatekeeper import bus
 
 BUFFER = 1 << 20
@@ -60,7 +61,7 @@ class Wire(Generic[P]):
             return None
         try:
             return self._decode(data)
-        except msgspec.DecodeError as error:
+        except UNREADABLE as error:
             return Rubbish(str(error))
 
     def wait(self, seconds: float) -> bool:

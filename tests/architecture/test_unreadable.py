@@ -1,0 +1,51 @@
+"""Bytes from outside are refused whatever is wrong with them: msgspec's own error is one of three."""
+
+import re
+import socket
+from pathlib import Path
+
+import msgspec
+import pytest
+
+import dualbrain
+from dualbrain.adaptation.adapter_card import CARD, WEIGHTS, read_adapter_card
+from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.runtime.gatekeeper.seals import open_keys
+from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
+
+DEEP = b'{"also":' * 100_000 + b"1" + b"}" * 100_000
+BAD = {"no UTF-8": b'{"id":"\xff"}', "no JSON": b"\xff\xfe", "without end": DEEP, "another form": b"[]"}
+
+
+def test_nobody_catches_but_one_of_them():
+    package = Path(dualbrain.__file__).parent
+    catches = re.compile(r"(except|suppress\()[^\n]*msgspec\.(DecodeError|MsgspecError)")
+    found = [path.name for path in package.rglob("*.py") if catches.search(path.read_text(encoding="utf-8"))]
+    assert found == []
+
+
+@pytest.mark.parametrize("data", BAD.values(), ids=BAD)
+def test_a_file_is_a_broken_setup(tmp_path, data):
+    (tmp_path / WEIGHTS).write_bytes(b"")
+    (tmp_path / CARD).write_bytes(data)
+    with pytest.raises(InvalidSetup):
+        read_adapter_card(tmp_path)
+    keys = tmp_path / "keys"
+    keys.write_bytes(data)
+    keys.chmod(0o600)
+    with pytest.raises(InvalidSetup):
+        open_keys(keys)
+
+
+@pytest.mark.parametrize("error", UNREADABLE)
+def test_a_packet_is_rubbish(error):
+    def decode(data):
+        raise error("utf-8", data, 0, 1, "bad") if error is UnicodeDecodeError else error("bad")
+
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        wire = Wire(ours, decode)
+        theirs.send(b"x")
+        assert isinstance(wire.hear(), Rubbish)
+        assert wire.open
+    assert issubclass(msgspec.ValidationError, UNREADABLE)
