@@ -39,7 +39,8 @@ class Starter:
     name = "starter"
     claim = (
         f"{QUESTIONS} held-out instructions at a table (other sentences, scenes, a family and kinds of things that no "
-        f"lesson held), each planner as it serves: {SMALL} is right at least as often as {LARGE}."
+        f"lesson held), each planner as it serves. By a rule that stood before, {SMALL} becomes the planner that "
+        f"dualbrain starts with if it is right at least as often as {LARGE}."
     )
 
     def units(self, options: Options) -> list[Unit]:

@@ -9,8 +9,8 @@ from difflib import get_close_matches
 import msgspec
 
 UNREADABLE = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""What is raised for bytes that are not what they should be: text that is no UTF-8 and nesting without end are passed on
-by msgspec as Python has them. Whoever reads what others wrote catches all three."""
+"""What is raised for bytes that are not what they should be: text that is no UTF-8 and nesting without end are passed
+on by msgspec as Python has them. Whoever reads what others wrote catches all three."""
 
 
 class DualbrainError(Exception):

@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from dualbrain.planner.grammar import actions_grammar, contract_grammar, narrow, tail_grammar
+from dualbrain.planner.grammar import FREELY, actions_grammar, contract_grammar, narrow, tail_grammar
 from tests.planner.questions import REGISTRY, request
 
 
@@ -21,7 +21,7 @@ def test_words_for_people_are_left_out_and_names_of_parameters_are_not() -> None
 def test_the_grammar_holds_the_action_sequence_and_the_closing_brace() -> None:
     schema = request().schema
     head, _, body = actions_grammar(schema).partition("%json ")
-    assert head == '%llguidance {}\nstart: actions "}"\nactions: '
+    assert head == f'{FREELY}start: actions "}}"\nactions: '
     told = json.loads(body)
     assert told.pop("x-guidance") == {"whitespace_flexible": False}
     assert told == schema["properties"]["action_sequence"]
@@ -45,7 +45,7 @@ def reads(grammar: str, text: str) -> bool:
 @cache
 def _matcher(grammar: str):
     llguidance = pytest.importorskip("llguidance", reason="the extra `adapt` is not installed")
-    matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", _lark(grammar)))
+    matcher = llguidance.LLMatcher(llguidance.LLTokenizer("byte"), llguidance.grammar_from("lark", grammar))
     assert not matcher.is_error(), matcher.get_error()
     return matcher
 
@@ -62,10 +62,6 @@ def test_every_number_between_bounds_may_be_written_as_contracts_write_it(lower:
     texts = {f"{number:.{places}f}".rstrip("0").rstrip(".") for number in numbers if number}
     wrong = [text for text in sorted(texts) if reads(grammar, f'{{"x":{text}}}') != (lower <= float(text) <= upper)]
     assert not wrong
-
-
-def _lark(grammar: str) -> str:
-    return grammar.removeprefix("%llguidance {}\n")
 
 
 def test_each_grammar_reads_its_part_of_the_same_contract_and_holds_the_bounds() -> None:

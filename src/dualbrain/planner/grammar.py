@@ -4,6 +4,11 @@ llama.cpp's own `json_schema` mode ignores numeric bounds; LLGuidance enforces t
 that LLGuidance cannot read is dropped by the server without a word, so only keywords known to work are passed on.
 Between bounds it forgets numbers whose digits begin those of a bound: from 0 to 0.35 it admits 0.29, 0.30 and 0.31, but
 not 0.3 (seen with 1.9.1). Those are named beside the range.
+
+And where only one text can follow, it admits the one token of that text which no later one could change: after the
+last word of an action `"`, not the `"}` in which a model was taught to write it. What the model then reads is not what
+it knows, and small ones ended every contract there. So nothing is forced (`FREELY`): every token that keeps to the
+grammar may come.
 """
 
 from __future__ import annotations
@@ -17,6 +22,8 @@ _KEYWORDS = frozenset({
     "enum", "const", "minimum", "maximum", "pattern", "minLength", "maxLength", "$ref",
 })  # fmt: skip
 _DEFINITIONS = ("$defs", "definitions")
+FREELY = '%llguidance {"no_forcing": true}\n'
+"""How each grammar begins."""
 
 
 def actions_grammar(schema: dict[str, Any]) -> str:
@@ -32,13 +39,13 @@ def tail_grammar(schema: dict[str, Any]) -> str:
 def contract_grammar(schema: dict[str, Any]) -> str:
     """Grammar of a whole contract, for a server that is given no beginning."""
     whole = narrow(schema) | {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f"%llguidance {{}}\nstart: %json {_told(whole)}"
+    return f"{FREELY}start: %json {_told(whole)}"
 
 
 def _grammar(schema: dict[str, Any], before: str) -> str:
     actions = narrow(schema["properties"]["action_sequence"])
     actions |= {key: _each(schema[key]) for key in _DEFINITIONS if key in schema}
-    return f'%llguidance {{}}\nstart: {before}actions "}}"\nactions: %json {_told(actions)}'
+    return f'{FREELY}start: {before}actions "}}"\nactions: %json {_told(actions)}'
 
 
 def _told(narrowed: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from dualbrain.errors import InvalidSetup
+from dualbrain.planner.grammar import FREELY
 
 
 class Binding:
@@ -21,10 +22,8 @@ class Binding:
 
     def __init__(self, vocabulary: Any, grammar: str) -> None:
         """At the beginning of `grammar`; raises `InvalidSetup` for one that LLGuidance cannot read."""
-        text = grammar.removeprefix("%llguidance {}\n")
-        self._matcher = llguidance.LLMatcher(vocabulary, llguidance.grammar_from("lark", text))
-        if self._matcher.is_error():
-            raise InvalidSetup("grammar", got=self._matcher.get_error(), allowed="one that LLGuidance reads")
+        self._matcher = _matcher(vocabulary, grammar)
+        self._forcing = _matcher(vocabulary, grammar.removeprefix(FREELY))
 
     def admitted(self, size: int) -> Tensor:
         """Which of `size` tokens may come next, the end among them: (size,) of bool."""
@@ -34,15 +33,18 @@ class Binding:
 
     def take(self, token: int) -> bool:
         """Go on by `token`; False, and nothing changes, if it may not come next."""
-        return self._matcher.try_consume_tokens([token]) == 1
+        taken = self._matcher.try_consume_tokens([token]) == 1
+        if taken:
+            self._forcing.try_consume_tokens([token])
+        return taken
 
     def foresee(self, most: int, guess: Callable[[list[int]], int | None]) -> list[int]:
-        """At most `most` tokens to come: those that are forced, and where none is, what `guess` says after them.
+        """At most `most` tokens to come: where only one text can follow, that, and elsewhere what `guess` says.
 
-        As far as the grammar admits it.
+        As far as the grammar admits it. In which tokens the model says that text is for the model to choose.
         """
         ahead: list[int] = []
-        trial = self._matcher.deep_copy()
+        trial = self._forcing.deep_copy()
         while len(ahead) < most and not trial.is_stopped():
             token = guess(ahead)
             following = trial.compute_ff_tokens() or ([] if token is None else [token])
@@ -51,6 +53,13 @@ class Binding:
             if not taken or taken < len(following):
                 break
         return ahead[:most]
+
+
+def _matcher(vocabulary: Any, grammar: str) -> Any:
+    matcher = llguidance.LLMatcher(vocabulary, llguidance.grammar_from("lark", grammar))
+    if matcher.is_error():
+        raise InvalidSetup("grammar", got=matcher.get_error(), allowed="one that LLGuidance reads")
+    return matcher
 
 
 def vocabulary_of(tokenizer: Any) -> Any:
