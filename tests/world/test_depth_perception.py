@@ -40,7 +40,7 @@ class Eyes:
     """A camera that sees the cube and the bowl of a bare scene from everywhere, or nothing while `shut`."""
 
     def __init__(self, plant):
-        self.plant, self.shut = plant, False
+        self.plant, self.shut, self.hidden = plant, False, 0.0
 
     def points(self, above):
         del above
@@ -50,7 +50,10 @@ class Eyes:
         cube = box((0.02, 0.02, 0.025), at[:2], yaw_of(self.plant.truth("red_cube")))
         parts = ((cube, "red"), (ring(0.085, 0.05, bowl[:2], floor=0.008), "blue"))
         colours = [np.tile(shown(colour), (len(points), 1)) for points, colour in parts]
-        return np.vstack([points for points, _ in parts]), np.vstack(colours)
+        points, colours = np.vstack([points for points, _ in parts]), np.vstack(colours)
+        shown_of_cube = points[:, 0] < at[0] + 0.02 - self.hidden
+        kept = shown_of_cube | (np.linalg.norm(points[:, :2] - at[:2], axis=1) > 0.05)
+        return points[kept], colours[kept]
 
 
 def test_a_table_is_seen_as_it_stands():
@@ -76,6 +79,20 @@ def test_what_moved_is_seen_where_it_went_and_what_is_hidden_stays():
     again = eyes.look(p).find("red_cube")
     assert again.pose.position[0] == pytest.approx(first.pose.position[0] + 0.05, abs=ERROR)
     assert again.stamp > first.stamp
+
+
+def test_what_is_hidden_in_part_is_as_large_as_it_was_and_where_it_was():
+    """Of a cube whose edge nobody sees a smaller one is fitted, farther off: a hand would run into it."""
+    p = plant("bare", 1)
+    camera = Eyes(p)
+    eyes = DepthPerception(p.spec, camera)
+    first = eyes.look(p).find("red_cube")
+    camera.hidden = 0.005
+    rest(p, 0.6)
+    assert eyes.look(p).find("red_cube") == first
+    camera.hidden = 0.0
+    rest(p, 0.6)
+    assert eyes.look(p).find("red_cube").stamp > first.stamp
 
 
 def test_what_is_held_moves_with_the_hand_though_nobody_sees_it():

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dualbrain.embodiment.solids import distance, solid
 from dualbrain.errors import InvalidSetup
 from dualbrain.linalg import matrix, quaternion
-from dualbrain.records import Bowl, Cylinder, Pose, Scene, SceneObject
+from dualbrain.records import Bowl, Box, Cylinder, Pose, Scene, SceneObject
 from dualbrain.world.depth_camera import DepthCamera
 from dualbrain.world.perception import TABLE
 from dualbrain.world.plant import Plant
@@ -31,8 +31,9 @@ ERROR = 0.004
 """Bound of a fitted surface's error [m]: about twice the worst that was measured (docs/tasks.md)."""
 EVERY = 0.5
 """A picture is taken this often [s]; between two the scene is what was seen last."""
-WHOLE = 0.8
-"""A thing is believed seen whole when it shows this share of the points that it showed first."""
+WHOLE, AS_LARGE = 0.8, 0.002
+"""A thing is believed seen whole when it shows this share of the points that it showed first, and is as large as then
+but for this [m]: of what the arm hides in part a smaller shape is fitted, and its middle is wrong by as much again."""
 GRIPPED, IN_HAND = 0.5, 0.05
 """Both fingers feel more than this [N], and the middle of the thing is this near to the tool [m]: it is held."""
 SEEN_ON_MAP = 0.015
@@ -57,7 +58,7 @@ class DepthPerception:
             if t.fixed
         )
         self._seen: dict[str, SceneObject] = {}
-        self._first: dict[str, int] = {}
+        self._first: dict[str, Primitive] = {}
         self._looked = -np.inf
         self._held: tuple[str, Array, Array] | None = None
 
@@ -86,10 +87,10 @@ class DepthPerception:
         if not self._seen:
             for one in found:
                 thing = _named(one, self._seen, now)
-                self._seen[thing.name], self._first[thing.name] = thing, one.points
+                self._seen[thing.name], self._first[thing.name] = thing, one
             return
         for name, old in self._seen.items():
-            again = [one for one in found if _same(one, old) and one.points > WHOLE * self._first[name]]
+            again = [one for one in found if _same(one, old) and _is_whole(one, self._first[name])]
             if again and (self._held is None or self._held[0] != name):
                 nearest = min(again, key=lambda one: _apart(one.pose, old.pose))
                 self._seen[name] = msgspec.structs.replace(old, pose=nearest.pose, shape=nearest.shape, stamp=now)
@@ -149,6 +150,21 @@ def _class(height: float) -> int:
 def _same(one: Primitive, old: SceneObject) -> bool:
     """Whether a primitive may be the thing that was seen before: its colour, its kind, within a hand's breadth."""
     return one.colour == old.colour and type(one.shape) is type(old.shape) and _apart(one.pose, old.pose) < 0.10
+
+
+def _is_whole(one: Primitive, first: Primitive) -> bool:
+    """Whether all that was seen of a thing at `first` is seen now."""
+    smaller = np.subtract(_sizes(first), _sizes(one))
+    return one.points > WHOLE * first.points and float(np.abs(smaller).max()) < AS_LARGE
+
+
+def _sizes(one: Primitive) -> tuple[float, ...]:
+    """What makes a shape large [m], however it is turned."""
+    match one.shape:
+        case Box(half_extents=(a, b, height)):
+            return (min(a, b), max(a, b), height)
+        case Cylinder(radius, height) | Bowl(radius, height):
+            return (radius, height)
 
 
 def _apart(one: Pose, other: Pose) -> float:
