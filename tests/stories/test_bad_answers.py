@@ -57,11 +57,10 @@ BAD = {
     "an empty hand": Bad(contract(("place", PLACE)), "envelope", "/action_sequence/0/skill"),
     "cut off": Bad(grasp()[:60], "syntax", finish="length"),
     "cut off, yet whole": Bad(grasp(), "syntax", finish="length"),
-    "too late": Bad("", "syntax", finish="timeout"),
-    "a crash": Bad("", "syntax", finish="crashed"),
     "a refusal": Bad("I cannot help with that.", "syntax", finish="refusal"),
-    "a broken server": Bad("", "syntax", finish="error: HTTP 500"),
 }  # fmt: skip
+NONE = {"too late": "timeout", "a crash": "crashed: signal 9 (Killed)", "a broken server": "error: HTTP 500"}
+"""Why there is no answer at all."""
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -79,14 +78,24 @@ def test_it_is_refused_and_nothing_moves(name, tmp_path):
     assert_recorded(story)
 
 
-def assert_recorded(story):
-    """Refused with exit code 3; episode.json and the ledger say the same; the run has ended."""
+@pytest.mark.parametrize("finish", NONE.values(), ids=NONE)
+def test_no_answer_is_a_fault_and_nothing_moves(finish, tmp_path):
+    story = play(settings(tmp_path), "", finish=finish)
+    (attempt,) = story.episode.attempts  # nobody is told that his contract was refused
+    assert attempt.proposal.finish_reason == finish
+    assert finish in story.episode.outcome.reason
+    assert story.moved < MOVED
+    assert_recorded(story, "stopped", Exit.FAILED_SAFELY)
+
+
+def assert_recorded(story, kind="rejected", code=Exit.REJECTED):
+    """The outcome and the exit code; episode.json and the ledger say the same; the run has ended."""
     episode = story.episode
-    assert (episode.outcome.kind, episode.outcome.Delta, episode.contract) == ("rejected", None, None)
-    assert exit_code(episode) == Exit.REJECTED
+    assert (episode.outcome.kind, episode.outcome.Delta, episode.contract) == (kind, None, None)
+    assert exit_code(episode) == code
     assert story.written.outcome == episode.outcome
     (remembered,) = ledger_episodes(story.config.ledger)
-    assert remembered["episode"]["outcome"]["kind"] == "rejected"
+    assert remembered["episode"]["outcome"]["kind"] == kind
     assert [a["verdict"]["stage"] for a in remembered["episode"]["attempts"]] == [
         a.verdict.stage for a in episode.attempts
     ]
