@@ -9,6 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
+from dualbrain.adaptation import durable  # noqa: E402
 from dualbrain.adaptation.adapter_card import WEIGHTS  # noqa: E402
 from dualbrain.adaptation.adapters import BARE, Adapters, place_of  # noqa: E402
 from dualbrain.adaptation.fitting import night  # noqa: E402
@@ -174,14 +175,14 @@ def untouched(here, before):
 STAGES = {
     "base": ".{base}-", "data set": ".train.jsonl.", "states of the base": ".base_states.safetensors.",
     "best": ".best.safetensors.", "checkpoint": ".checkpoint.safetensors.", "adapter": ".adapter_model.safetensors.",
-    "card": ".adapter.json.", "registry": ".adding-",
+    "card": ".adapter.json.", "registry": ".{made}.",
 }  # fmt: skip
 """What is being written, and how the name begins that it is written under."""
 
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(here, undisturbed, monkeypatch, stage):
-    prefix, full = STAGES[stage].format(base=find_file(tiny_served.BASE).sha256[:32]), [True]
+    prefix, full = STAGES[stage].format(base=find_file(tiny_served.BASE).sha256[:32], made=undisturbed), [True]
 
     def filling(make):
         def begin(*told, **more):
@@ -194,6 +195,8 @@ def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(her
 
     for name in ("mkstemp", "mkdtemp"):
         monkeypatch.setattr(tempfile, name, filling(getattr(tempfile, name)))
+    beside = filling(lambda path, prefix, real=durable._beside: real(path))
+    monkeypatch.setattr(durable, "_beside", lambda path: beside(path, prefix=f".{path.name}."))
     before = contents(here.registry.folder)
     code, out, err = here.adapt()
     assert (code, out) == (Exit.SETUP, "")

@@ -6,7 +6,6 @@ import errno
 import fcntl
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +24,7 @@ from dualbrain.adaptation.adapter_card import (
     require_beside,
     worn_as,
 )
-from dualbrain.adaptation.durable import DiskFull, sync_folder
+from dualbrain.adaptation.durable import DiskFull, whole_folder
 from dualbrain.adaptation.promotion import Decision
 from dualbrain.errors import UNREADABLE, DualbrainError, InvalidSetup, UnknownName
 
@@ -33,6 +32,8 @@ JOURNAL, LOCK = "journal.jsonl", ".lock"
 FILES = (WEIGHTS, *BESIDE)
 BARE = ""
 """The id of no adapter: the base as it is."""
+PRIVATE = 0o700
+"""Mode of an adapter's folder: what a robot was taught is for its own user to show (`dualbrain adapters export`)."""
 
 
 UNRECORDED = (
@@ -221,20 +222,11 @@ class Adapters:
 
     def _copy(self, source: Path, target: Path) -> None:
         """Bring the files to `target`, all or none."""
-        beside = Path(tempfile.mkdtemp(dir=self.folder, prefix=".adding-"))
-        try:
+        with whole_folder(target) as beside:
+            beside.chmod(PRIVATE)
             for name in FILES:
                 shutil.copyfile(source / name, beside / name)
-                with (beside / name).open("rb") as written:
-                    os.fsync(written.fileno())
             read_adapter_card(beside)
-            sync_folder(beside)
-            beside.rename(target)
-            sync_folder(self.folder)
-        except OSError as error:
-            raise DiskFull(target, error) from error
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
 
     def _append(self, entry: Entry) -> None:
         """Add one line; what a crash left of a former one is cut off first."""

@@ -25,6 +25,7 @@ def perplexity(planner: LlamaPlanner, text: str) -> float | Answer:
     first, rest = text.split(" ", 1)
     body = {
         "prompt": first, "n_predict": 2 * len(rest), "temperature": 0.0, "n_probs": 1,
+        # forced, unlike a contract's: each token is to be the one in which the text is written
         "grammar": f"%llguidance {{}}\nstart: {json.dumps(' ' + rest.strip())}",
     }  # fmt: skip
     told = planner.tell("/completion", body)
