@@ -3,6 +3,7 @@
 import pytest
 
 from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
+from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course
 from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
 from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
@@ -11,7 +12,6 @@ from dualbrain.runtime import starter
 from dualbrain.runtime.classroom import ROBOTS, lessons
 from dualbrain.runtime.proposals import ROBOT
 from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.weights import find_file
 
 LARGEST = 5_000_000
 REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
@@ -34,7 +34,7 @@ def test_the_base_of_the_main_table_is_here():
 
 
 def test_it_is_what_its_card_says(name, card):
-    assert card.base_sha256 == find_file(card.base).sha256
+    assert card.base_sha256 == hash_of_base(card.base)
     assert card.bootstrapped
     assert set(card.sources) == {"templates"}
     assert card.config == MADE[name][0]

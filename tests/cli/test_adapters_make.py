@@ -62,7 +62,7 @@ def test_it_flies_chooses_and_fits_the_bare_model_by_the_whole_objective(tell, s
     data = read_dataset(tmp_path / "made" / "dataset")
     assert (code, out) == (Exit.SUCCESS, "")
     assert stage.flown == list(range(NUMBER))
-    assert stage.fitted == [(data.card.hash, starter.DIALS, "smollm2-135m-instruct")]
+    assert stage.fitted == [(data.card.hash, starter.DIALS, starter.BASE)]
     assert set(data.card.sources) == {"templates"}
     assert f"flight 1/{NUMBER}  " in err
     assert f"flight {NUMBER}/{NUMBER}  succeeded  Δ 0.0010  0.0 min left" in err

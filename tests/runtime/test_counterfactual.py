@@ -64,6 +64,16 @@ def test_the_same_question_is_asked_once(second, tmp_path):
     assert ask(second, [pause(0.7)], tmp_path) == (used, 0)
 
 
+@pytest.mark.parametrize("torn", [b"", b'{"text": "paus', b'{"planner": "scripted"}', b"\xff", b"[]"])
+def test_an_answer_whose_file_is_torn_is_asked_for_again_and_written_anew(second, tmp_path, torn):
+    used = (Use("one", used=True, contributing=True),)
+    assert ask(second, [pause(1.5)], tmp_path) == (used, 1)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(torn)
+    assert ask(second, [pause(1.5)], tmp_path) == (used, 1)
+    assert ask(second, [pause(0.7)], tmp_path) == (used, 0)
+
+
 @pytest.mark.parametrize("answer", ["no contract", "", "[]"])
 def test_a_memory_without_which_nothing_can_be_read_was_used(second, tmp_path, answer):
     assert ask(second, [answer], tmp_path)[0][0].used

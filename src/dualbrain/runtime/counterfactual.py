@@ -68,8 +68,8 @@ class Counterfactuals:
         """The answer, "" if it was cut at its limit; None if there is none, which is not kept."""
         asked = json.dumps([self._planner.name, render(request), request.schema], sort_keys=True)
         path = self._cache / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
-        if path.exists():
-            return str(json.loads(path.read_text())["text"])
+        if (kept := _kept(path)) is not None:
+            return kept
         proposal = self._planner.propose(request)
         if proposal.finish_reason not in (STOP, LENGTH):
             return None
@@ -77,6 +77,14 @@ class Counterfactuals:
         self._cache.mkdir(parents=True, exist_ok=True)
         write_durably(path, json.dumps({"planner": self._planner.name, "text": text}).encode())
         return text
+
+
+def _kept(path: Path) -> str | None:
+    """The answer that is kept at `path`; None if there is none, or none that can be read: it is asked for again."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, str])["text"]
+    except (FileNotFoundError, KeyError, *UNREADABLE):
+        return None
 
 
 def _contract(text: str) -> dict[str, Any] | None:
