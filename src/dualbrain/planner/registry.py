@@ -11,10 +11,10 @@ from dualbrain.planner.openai import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
 from dualbrain.weights import MANIFEST, locate
 
-DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
+LARGE_PLANNER = "qwen2.5-coder-1.5b-instruct"
+"""For any robot: its prompt tells it the skills."""
 SMALL_PLANNER = "smollm2-135m-instruct"
-"""For tests; it does not plan unaided."""
-
+"""What adapters sit on, and for tests; it does not plan unaided."""
 
 KIND = "planner"
 ALSO = "a GGUF file or URL also works"
