@@ -134,3 +134,10 @@ def test_metrics_are_numbers():
     for metric in METRICS:
         found = metric.of(row())
         assert found is None or np.isfinite(found)
+
+
+def test_seconds_are_lost_only_by_what_succeeded_on_truth():
+    of = BY_NAME["seconds lost"].of
+    told = row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
+    assert of(told) == 3.0
+    assert of(msgspec.structs.replace(told, success=False)) is None

@@ -1,8 +1,6 @@
 """The report of made-up results: it says what was found, what was not, and is one file that works offline."""
 
-import os
 import re
-import time
 from itertools import pairwise
 from xml.etree import ElementTree
 
@@ -10,20 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.cli import evaluate
-from dualbrain.cli.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
-from dualbrain.cli.evaluate import narrowed
 from dualbrain.cli.main import call
-from dualbrain.cli.report import command_of, flown_on, results
+from dualbrain.cli.report import flown_on, results
 from dualbrain.dashboard.evaluation_charts import COLOURS, MARKERS, curves, latencies, look, panels, together, traces
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, facts, render_evaluation
-from dualbrain.errors import InvalidSetup
-from dualbrain.evaluation.changes import OF_MACHINES, changed, changes
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
-from dualbrain.evaluation.effort import effort
 from dualbrain.evaluation.failure import class_of
 from dualbrain.evaluation.gallery import chosen
 from dualbrain.evaluation.grids import (
@@ -41,46 +33,22 @@ from dualbrain.evaluation.markdown import grid_lines
 from dualbrain.evaluation.method import METHODS
 from dualbrain.evaluation.metrics import BY_NAME
 from dualbrain.evaluation.missing import missing
-from dualbrain.evaluation.origin import origin
-from dualbrain.evaluation.planners import Sources
 from dualbrain.evaluation.plans import Kept, Plans
 from dualbrain.evaluation.report_tables import all_grids
-from dualbrain.evaluation.runner import STAGES, Runner
 from dualbrain.evaluation.statistics import Estimate
-from dualbrain.evaluation.suite import Task, open_suite, read_suite
+from dualbrain.evaluation.suite import open_suite
 from dualbrain.evaluation.table_file import FILE, write_table
-from dualbrain.evaluation.unit import units_of
 from dualbrain.evaluation.words import KINDS, caption, cut, headline
 from dualbrain.planner.asking import FREE_BY
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from dualbrain.world.monitor import UNITS
 from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
-from tests.evaluation.test_runner import SUITE, lines_of
 from tests.planner.questions import request
 
-FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
 ASTRAY = {"success": False}
 """Done, says the robot; not so, says truth: `actuator`."""
 KEPT = [Kept("it", "q", Proposal("{}", STOP, "it", "", {"total": total})) for total in (0.5, 2.0)]
-
-
-@pytest.fixture(scope="module")
-def suite():
-    return read_suite(SUITE, "tiny.toml")
-
-
-@pytest.fixture(scope="module")
-def rows():
-    """Two runs of two repetitions: without a filter every second episode collides and fails."""
-    found = []
-    for method in ("B1", "B3", "M"):
-        for run in (0, 1):
-            for k in (0, 1):
-                hurt = method == "B1" and k == 1
-                values = {"violations": (COLLISION,), "severity": 0.1, **FAILED} if hurt else {}
-                found.append(row(method, run, seed=run, repetition=k, guarded=method != "B1", **values))
-    return found
 
 
 def test_an_overview_has_every_method_with_its_numbers(rows):
@@ -414,233 +382,6 @@ def test_methods_come_in_the_order_of_the_main_table():
     assert methods_of([row("M"), row("B3"), row("A1"), row("B1")]) == ("B1", "B3", "M", "A1")
 
 
-def test_changes_name_the_direction_and_only_common_places():
-    before = [row("B3", run, seed=run, frequency=0.20 + 0.01 * run) for run in range(8)]
-    after = [row("B3", run, seed=run, frequency=0.10 + 0.01 * run) for run in range(10)]
-    lines = {line[1]: line for line in changes(before, after).rows}
-    assert lines["intervention frequency"][-1] == "better"
-    assert lines["intervention frequency"][-2] == "8"
-    assert lines["success"][-1] == "the same"
-    assert BY_NAME["intervention frequency"].better == -1
-
-
-def flown_twice(runs=8, **values):
-    """Two evaluations in which B3 differs in all of `values`: before, and after by the run."""
-    before = [row("B3", run, seed=run) for run in range(runs)]
-    later = [{name: of(run) for name, of in values.items()} for run in range(runs)]
-    return before, [msgspec.structs.replace(one, **new) for one, new in zip(before, later, strict=True)]
-
-
-def test_what_a_change_is_called_goes_by_the_corrected_p():
-    """Six clusters of eight got better: the interval leaves out 0, and among several tests that is too little."""
-    told = {
-        one.metric.name: one
-        for one in changed(*flown_twice(frequency=lambda k: 0.1 + 0.12 * (k < 2), severity=lambda k: k % 2))
-    }
-    found = told["intervention frequency"]
-    assert found.found.high < 0.0
-    assert found.found.p < 0.05 < found.p
-    assert found.word == "no clear change"
-    assert told["success"].word == "the same"
-    one_cluster = {one.metric.name: one for one in changed(*flown_twice(1, frequency=lambda k: 0.1))}
-    assert one_cluster["intervention frequency"].word == one_cluster["success"].word == "not known"
-
-
-def test_what_is_alike_or_of_the_machine_makes_the_correction_of_nothing_larger():
-    slower = flown_twice(gate_s=lambda k: 1.0, filter_us=lambda k: [80.0 + k] * 3, severity=lambda k: 0.1 + k)
-    told = {one.metric.name: one for one in changed(*slower)}
-    assert told["severity"].p == told["severity"].found.p == 2 / 2**8
-    for name in OF_MACHINES:
-        assert np.isnan(told[name].p)
-        assert told[name].word == "of the machine"
-    line = next(line for line in changes(*slower).rows if line[1] == "gate time")
-    assert line[4] == "–"
-
-
-def test_in_what_two_evaluations_were_set_up_otherwise_is_told(rows, tmp_path, capsys):
-    ours = read_suite(SUITE, "tiny.toml")
-    theirs = msgspec.structs.replace(ours, methods=("B1", "B3"), planners={"base": "base-135m"}, says="Another.",
-                                     tasks=(*ours.tasks, Task("edge_rescue", "II")))  # fmt: skip
-    for name, suite, code in (("one", ours, "abc"), ("two", theirs, "def")):
-        arms = {method: METHODS[method] for method in suite.methods}
-        config = {"suite": suite, "methods": arms, "origin": {"code": code, "python": "3"}, "adapters": {}}
-        config = msgspec.json.decode(msgspec.json.encode(config))
-        (tmp_path / name).mkdir()
-        write_table(rows[:1] if name == "one" else rows, config, tmp_path / name / FILE)
-    lines = [
-        ("origin.code", "abc", "def"), ("suite.methods", "M", "–"), ("suite.planners.base", "template", "base-135m"),
-        ("suite.tasks", "–", "edge_rescue II errand all"),
-    ]  # fmt: skip
-    pair = [str(tmp_path / "one"), str(tmp_path / "two")]
-    assert call(["compare", *pair]) == 0
-    said = capsys.readouterr().out
-    for line in lines:
-        assert f"| {' | '.join(line)} |" in said
-    assert "python" not in said
-    assert call(["compare", *pair, "--json"]) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["configuration"] == {what: {"before": a, "after": b} for what, a, b in lines}
-    found = next(one for one in told["changes"] if one["metric"] == "success")
-    assert found == {
-        "method": "B1", "metric": "success", "unit": "rate", "change": 0.0, "low": None, "high": None, "p": None,
-        "clusters": 1, "word": "not known",
-    }  # fmt: skip
-    assert call(["compare", *pair[:1] * 2]) == 0
-    assert "None." in capsys.readouterr().out
-
-
-def test_seconds_are_lost_only_by_what_succeeded_on_truth():
-    of = BY_NAME["seconds lost"].of
-    told = row("B3", seed=1, repetition=0, lost_s=3.0, success=True)
-    assert of(told) == 3.0
-    assert of(msgspec.structs.replace(told, success=False)) is None
-
-
-def test_changes_pair_places_however_they_were_dealt_to_runs():
-    def flown(runs, first=0):
-        return [
-            row("B3", run=seed % runs, seed=seed, repetition=0, frequency=seed / 100, instruction="a")
-            for seed in range(first, first + 10)
-        ]
-
-    def told(before, after):
-        return next(line for line in changes(before, after).rows if line[1] == "intervention frequency")
-
-    for before, after in ((flown(5), flown(2)), (flown(10), flown(1)), (flown(5), flown(5, first=1))):
-        assert told(before, after)[-1] == "the same"
-    other = [msgspec.structs.replace(one, instruction="b") for one in flown(5)]
-    assert not changes(flown(5), other).rows
-
-
-def test_an_episode_of_results_is_flown_again_whatever_suite_is_named(tmp_path, capsys):
-    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--episodes", "1", "--jobs", "1",
-                 "--out", str(tmp_path)]) == 0  # fmt: skip
-    key = results(tmp_path)[0][0].key
-    for name in ("config.json", "fly.jsonl"):  # what a repository keeps is the table
-        (tmp_path / name).unlink()
-    assert call(["evaluate", "--suite", "first", "--out", str(tmp_path), "--again", key]) == 0
-    assert "as recorded" in capsys.readouterr().err
-    assert call(["evaluate", "--out", str(tmp_path), "--again", "nothing"]) == 5
-    assert key in capsys.readouterr().err
-    assert call(["evaluate", "--jobs", "-1"]) == 2
-
-
-def test_commands_read_results(rows, suite, tmp_path, capsys):
-    config = {"suite": msgspec.to_builtins(suite), "methods": {}, "origin": {"code": "abc"}}
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        write_table(rows, config, tmp_path / name / FILE)
-    assert call(["report", str(tmp_path / "one"), "--gallery", "0", "--json"]) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert [one["name"] for one in told] == ["H1", "H2", "H3"]
-    assert "## Hypotheses" in (tmp_path / "one" / "page" / "report.md").read_text()
-    assert (tmp_path / "one" / "report.html").stat().st_size > 20_000
-    assert call(["compare", str(tmp_path / "one"), str(tmp_path / "two")]) == 0
-    assert "| B1 | success | 0.0 % |" in capsys.readouterr().out
-    nothing, page = tmp_path / "nothing", tmp_path / "page"
-    page.mkdir()
-    (page / "report.md").write_text("Again: `dualbrain evaluate --suite attacks --out attacks`")
-    for command in (["report"], ["compare", str(tmp_path / "one")]):
-        assert call([*command, str(nothing)]) == 5
-        assert f"dualbrain evaluate --suite SUITE --out {nothing}" in capsys.readouterr().err
-        assert call([*command, str(page)]) == 5
-        told = capsys.readouterr().err
-        assert "into another folder" in told
-        assert "--out" not in told
-        assert call([*command, str(tmp_path / "one" / FILE)]) == 5
-        assert "Name the folder" in capsys.readouterr().err
-
-
-def test_a_run_under_way_can_be_read(tmp_path):
-    """Before the table is written there are only journals; a folder in which nothing is flown yet has no results."""
-    suite = read_suite(SUITE, "tiny.toml")
-    runner = Runner(suite, tmp_path, clock=lambda: 0.0, tell=lambda progress: None)
-    runner.prepare({"code": "abc"})
-    with pytest.raises(InvalidSetup, match=rf"no episode that is finished.*--suite FILE.toml --out {tmp_path}"):
-        results(tmp_path)
-    run = next(unit for unit in units_of(suite, "fly") if unit.method == "M")
-    for line in list(lines_of(run))[:4]:
-        runner.journal("fly").append(line)
-    found, config, told = results(tmp_path)
-    assert found == runner.rows()
-    assert [one.key for one in found] == [run.row_key(order) for order in range(4)]
-    assert (config["origin"], told) == ({"code": "abc"}, suite)
-    write_table(found, config, tmp_path / FILE)
-    assert results(tmp_path)[0] == found
-    runner.journal("fly").append(list(lines_of(run))[4])  # taken up again, after a table was written
-    os.utime(tmp_path / FILE, ns=(0, 0))
-    assert len(results(tmp_path)[0]) == 5
-
-
-@pytest.fixture
-def begun(tmp_path):
-    """A folder of suite `smoke`, two episodes into its flights."""
-    runner = Runner(open_suite("smoke"), tmp_path / "begun", clock=time.perf_counter, tell=print)
-    runner.prepare(origin())
-    for unit in units_of(runner.suite, "fly")[:2]:
-        runner.journal("fly").append(next(iter(lines_of(unit))))
-    return runner
-
-
-def test_a_command_to_go_on_is_the_whole_one(begun, capsys):
-    (begun.out / "fly.jsonl").unlink()
-    assert call(["report", str(begun.out)]) == 5
-    assert f"Go on with it: dualbrain evaluate --suite smoke --out {begun.out}" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("damage", [b"{", b"[]", b"\xff"])
-def test_a_configuration_that_cannot_be_read_is_told_with_its_file(begun, capsys, damage):
-    out = begun.out
-    (out / "config.json").write_bytes(damage)
-    for asked in (["report", out], ["evaluate", "--out", out, "--jobs", "1"], ["evaluate", "--dry-run", "--out", out]):
-        assert call(list(map(str, asked))) == 5
-        said = capsys.readouterr().err
-        assert "configuration of the results" in said
-        assert f"Bring back a copy, or name another --out. {out / 'config.json'}" in said
-        assert "Traceback" not in said
-    write_table(begun.rows(), {"suite": msgspec.to_builtins(begun.suite), "origin": {}}, out / FILE)
-    os.utime(out / FILE, ns=(0, 0))  # taken up again after it was written
-    assert call(["report", str(out)]) == 0
-    assert "left out: What was flown since results.parquet" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("lost", ["wall_s", "key"])
-def test_a_line_that_lacks_something_is_told_and_the_rest_reported(begun, capsys, lost):
-    path = begun.out / "fly.jsonl"
-    first, second = map(msgspec.json.decode, path.read_bytes().splitlines())
-    del second[lost]
-    path.write_bytes(msgspec.json.encode(first) + b"\n" + msgspec.json.encode(second) + b"\n")
-    assert call(["report", str(begun.out)]) == 0
-    assert f"left out: Line 2 of fly.jsonl (Object missing required field `{lost}`)" in capsys.readouterr().err
-    page = (begun.out / "page" / "report.md").read_text()
-    assert "Line 2 of fly.jsonl" in page.partition("## What was not measured")[2]
-    assert "1 episodes" in page
-    for more in ((), ("--dry-run",)):
-        assert call(["evaluate", "--suite", "smoke", "--jobs", "1", "--out", str(begun.out), *more]) == 5
-        said = capsys.readouterr().err
-        assert "line 2 of fly.jsonl" in said
-        assert f"Delete it (where memory grows, all lines of its run): what it told is flown again. {path}" in said
-
-
-def test_a_line_of_questions_that_lacks_something_is_told_too(begun, capsys):
-    begun.journal("plan").append({"key": "B3 #0", "asked": 1})
-    assert call(["evaluate", "--suite", "smoke", "--dry-run", "--out", str(begun.out)]) == 5
-    assert "line 1 of plan.jsonl" in capsys.readouterr().err
-
-
-def test_a_damaged_answer_is_left_out_of_a_report_and_asked_for_again(begun, capsys):
-    plans = Plans(begun.out / "plans")
-    for words in ("put the cube down", "pick the cube up"):
-        plans.keep("it", request(instruction=words), Proposal("{}", STOP, "it", "", {"total": 1.0}))
-    torn = next(iter((begun.out / "plans").glob("*.json")))
-    torn.write_bytes(torn.read_bytes()[:20])
-    assert call(["report", str(begun.out)]) == 0
-    assert f"left out: The answer in plans/{torn.name}, which is damaged" in capsys.readouterr().err
-    assert len(plans.all()) == 1
-    known = [plans.find("it", request(instruction=words)) for words in ("put the cube down", "pick the cube up")]
-    assert known.count(None) == 1
-
-
 def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
     for total, more in ((2.0, {}), (3.0, {"at_once": 1.0}), (9.0, {"at_once": 8.0})):
         answer = Proposal("{}", STOP, "it", "", {"total": total, **more})
@@ -649,184 +390,3 @@ def test_what_was_answered_side_by_side_is_no_latency(tmp_path):
     assert sorted(latencies_of(kept)) == [2.0, 3.0]
     assert decision_grid(kept).rows == (("it", "2", "2.5", "2.95", "1", "1.12"),)
     assert decision_grid([]).rows == ()
-
-
-def test_a_report_is_dated_by_its_last_flight(tmp_path):
-    for name, day in (("results.parquet", 20_000), ("fly.jsonl", 10_000)):
-        (tmp_path / name).write_text("")
-        os.utime(tmp_path / name, (86_400 * day, 86_400 * day))
-    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "1997-05-19"
-    (tmp_path / "fly.jsonl").unlink()
-    assert flown_on(tmp_path, {"flown": "2001-01-01"}) == "2001-01-01"
-    assert flown_on(tmp_path, {}) == "2024-10-04"
-
-
-def test_a_suite_that_no_options_lead_to_came_from_a_file(tmp_path):
-    ours = open_suite("smoke")
-    for other in (msgspec.structs.replace(ours, name="mine"), msgspec.structs.replace(ours, shots=ours.shots + 1)):
-        assert "--suite FILE.toml" in command_of(other, tmp_path / "there")
-
-
-def test_a_report_says_by_which_command_it_comes_again(tmp_path):
-    asked = ("paper", "B1,M", "200", "panda", "base=transformers:base-135m")
-    for told in (asked, ("paper", "", "0", "", ""), ("attacks", "", "0", "base", "")):
-        flown = narrowed(told[0], told[1], int(told[2]), told[3], told[4] or "adapted=adapter:x")
-        command = command_of(flown, tmp_path / "there").split()
-        assert command[:2] == ["dualbrain", "evaluate"]
-        said = dict(zip(command[2::2], command[3::2], strict=True))
-        assert said.pop("--out") == "there"
-        again = [said.get(f"--{name}", "") for name in ("suite", "methods", "episodes", "robots", "planner")]
-        assert narrowed(again[0], again[1], int(again[2] or 0), again[3], again[4]) == flown
-
-
-def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
-    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
-    assert call([*asked, "--methods", "B1,M"]) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
-    assert told["basis"] == "a guess"
-    assert not (tmp_path / "x").exists()
-    assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
-    assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
-    assert "--planner adapted=adapter:ID" in capsys.readouterr().err
-    named = "adapted=base-135m,base=template"
-    assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
-
-
-def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
-    sources = Sources(tmp_path, tmp_path)
-    for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
-        assert guess(small, sources) == GUESS_SMALL_S
-    for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
-        assert guess(large, sources) == GUESS_LARGE_S
-    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
-    asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
-    assert call(asked) == 0
-    one = msgspec.json.decode(capsys.readouterr().out)
-    assert one["question_s"] == {"base-135m": GUESS_SMALL_S}
-    assert one["episode_s"] == GUESS_S
-    asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
-    assert call(asked) == 0
-    both = msgspec.json.decode(capsys.readouterr().out)
-    assert both["question_s"] == {"qwen2.5-coder-1.5b-instruct": GUESS_LARGE_S, "base-135m": GUESS_SMALL_S}
-    suite = narrowed("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
-    units = [unit for stage in STAGES for unit in units_of(suite, stage)]
-    more = effort(suite, units).questions * GUESS_LARGE_S / 3600.0
-    assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
-
-
-def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
-    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
-    asked += ["--planner", "adapted=starter-135m"]
-    runner = Runner(narrowed("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
-                    tell=print)  # fmt: skip
-    unit = next(unit for unit in units_of(runner.suite, "plan") if unit.method == "P")
-    for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
-        runner.journal("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
-    flown = next(iter(lines_of(units_of(runner.suite, "fly")[0])))
-    runner.journal("fly").append(flown | {"wall_s": 11.0})
-    assert call(asked) == 0
-    told = msgspec.json.decode(capsys.readouterr().out)
-    assert told["question_s"] == {"base-135m": GUESS_SMALL_S, "starter-135m": 8.0}
-    assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
-
-
-def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
-    said = "fewer than two runs of B1, B3: the report will have no interval"
-    monkeypatch.setattr(evaluate, "_passes", lambda *_: True)
-    for more in (("--dry-run",), ()):
-        asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
-        assert call([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
-        assert said in capsys.readouterr().err
-    assert call(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
-    assert "fewer than two runs" not in capsys.readouterr().err
-    suite = open_suite("refusals")
-    assert [suite.clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
-    assert open_suite("paper").clusters("B3") == 40
-
-
-@pytest.mark.parametrize(
-    ("more", "code", "said"),
-    [
-        (("--suite", "smoke", "--planner", "nosuch"), 5, "base-135m"),
-        (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
-        (("--suite", "smoke", "--planner", "base="), 2, "PART=PLANNER"),
-        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each part once"),
-        (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
-        (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
-        (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),
-        (("--suite", "smoke", "--robots", "panda,"), 2, "--robots: got 'panda,'"),
-        (("--suite", "smoke", "--robots", "base"), 5, "clutter_grasp I: panda, "),
-        (("--suite", "refusals", "--robots", "ur5e", "--planner", "adapted=base-135m"), 5, "hazardous: panda;"),
-        (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
-    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    for asked in (more, (*more, "--dry-run")):
-        assert call(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
-        assert said in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
-def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
-    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
-    smoke = open_suite("smoke")
-    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare(origin())
-    assert call(asked) == 0
-    assert call([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
-    (tmp_path / "config.json").unlink()
-    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare({**origin(), "code": "another"})
-    assert call(asked) == 5
-
-
-@pytest.mark.parametrize(
-    ("more", "missing"),
-    [
-        (("--suite", "smoke"), "minilm-l6-v2-int8"),
-        (("--suite", "smoke", "--methods", "B1", "--planner", "qwen2.5-coder-1.5b-instruct"), "qwen2.5-coder-1.5b"),
-        (("--suite", "smoke", "--methods", "B1", "--planner", "transformers:base-135m"), "smollm2-135m-instruct"),
-        (("--suite", "smoke", "--methods", "P", "--planner", "adapted=adapter:aa"), "adapter"),
-    ],
-)
-def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown(
-    tmp_path, capsys, monkeypatch, more, missing
-):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
-    assert call(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
-    said = capsys.readouterr().err
-    assert missing in said
-    assert len(said.splitlines()) == 1
-    assert not (tmp_path / "x" / "config.json").exists()
-
-
-def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    assert call(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
-                 "--out", str(tmp_path / "x")]) == 5  # fmt: skip
-    said = capsys.readouterr().err
-    assert "cameras of B3-depth" in said
-    assert "apt-get install" in said
-    assert not (tmp_path / "x").exists()
-
-
-def test_who_interrupts_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(evaluate, "_passes", interrupted)
-    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
-    said = capsys.readouterr().err
-    assert "the same command goes on" in said
-    assert "dualbrain: interrupted" in said
-
-
-@pytest.mark.parametrize(("broken", "done"), [("plan", STAGES), ("pilot", ("pilot",)), ("", STAGES)])
-def test_answers_that_are_missing_are_asked_for_in_flight_but_nothing_is_flown_without_epsilon(
-    monkeypatch, broken, done
-):
-    begun = []
-    monkeypatch.setattr(evaluate, "_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
-    assert evaluate._passes(None, STAGES, None, 1) == (not broken)
-    assert tuple(begun) == done

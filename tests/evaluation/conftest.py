@@ -1,0 +1,27 @@
+"""A small suite, and what made-up flights of it left."""
+
+import pytest
+
+from dualbrain.evaluation.suite import read_suite
+from tests.evaluation.rows import COLLISION, row
+from tests.evaluation.test_runner import SUITE
+
+FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return read_suite(SUITE, "tiny.toml")
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Two runs of two repetitions: without a filter every second episode collides and fails."""
+    found = []
+    for method in ("B1", "B3", "M"):
+        for run in (0, 1):
+            for k in (0, 1):
+                hurt = method == "B1" and k == 1
+                values = {"violations": (COLLISION,), "severity": 0.1, **FAILED} if hurt else {}
+                found.append(row(method, run, seed=run, repetition=k, guarded=method != "B1", **values))
+    return found

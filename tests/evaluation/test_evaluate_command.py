@@ -1,0 +1,171 @@
+"""What `dualbrain evaluate` says beforehand, refuses, misses, and leaves to go on with."""
+
+import time
+
+import msgspec
+import pytest
+
+from dualbrain.cli import evaluate
+from dualbrain.cli.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
+from dualbrain.cli.evaluate import narrowed
+from dualbrain.cli.main import call
+from dualbrain.evaluation.effort import effort
+from dualbrain.evaluation.origin import origin
+from dualbrain.evaluation.planners import Sources
+from dualbrain.evaluation.runner import STAGES, Runner
+from dualbrain.evaluation.suite import open_suite
+from dualbrain.evaluation.unit import units_of
+from tests.evaluation.test_runner import lines_of
+
+
+def test_a_dry_run_flies_nothing_and_says_how_long(tmp_path, capsys):
+    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--json", "--episodes", "3", "--out", str(tmp_path / "x")]
+    assert call([*asked, "--methods", "B1,M"]) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["left"] == {"pilot": 0, "start": 1, "plan": 0, "fly": 6}
+    assert told["basis"] == "a guess"
+    assert not (tmp_path / "x").exists()
+    assert call(["evaluate", "--methods", "B9", "--dry-run"]) == 5
+    assert call(["evaluate", "--suite", "paper", "--dry-run"]) == 5
+    assert "--planner adapted=adapter:ID" in capsys.readouterr().err
+    named = "adapted=base-135m,base=template"
+    assert call(["evaluate", "--suite", "paper", "--dry-run", "--planner", named, "--out", str(tmp_path / "y")]) == 0
+
+
+def test_a_guess_of_a_dry_run_is_that_of_the_model_that_answers(tmp_path, capsys):
+    sources = Sources(tmp_path, tmp_path)
+    for small in ("base-135m", "adapter:starter-135m", "transformers:base-135m", "smollm2-135m-instruct"):
+        assert guess(small, sources) == GUESS_SMALL_S
+    for large in ("qwen2.5-coder-1.5b-instruct", "transformers:qwen2.5-coder-1.5b-instruct", "http://host/v1"):
+        assert guess(large, sources) == GUESS_LARGE_S
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--jobs", "1"]
+    asked += ["--planner", "base=template,prompted=template,adapted=base-135m", "--out", str(tmp_path / "x")]
+    assert call(asked) == 0
+    one = msgspec.json.decode(capsys.readouterr().out)
+    assert one["question_s"] == {"base-135m": GUESS_SMALL_S}
+    assert one["episode_s"] == GUESS_S
+    asked[asked.index("--planner") + 1] = "base=qwen2.5-coder-1.5b-instruct,adapted=base-135m"
+    assert call(asked) == 0
+    both = msgspec.json.decode(capsys.readouterr().out)
+    assert both["question_s"] == {"qwen2.5-coder-1.5b-instruct": GUESS_LARGE_S, "base-135m": GUESS_SMALL_S}
+    suite = narrowed("paper", "B3", 0, "", "base=qwen2.5-coder-1.5b-instruct")
+    units = [unit for stage in STAGES for unit in units_of(suite, stage)]
+    more = effort(suite, units).questions * GUESS_LARGE_S / 3600.0
+    assert both["hours"]["planning"] - one["hours"]["planning"] == pytest.approx(more)
+
+
+def test_what_was_measured_in_a_folder_comes_before_a_guess_planner_by_planner(tmp_path, capsys):
+    asked = ["evaluate", "--suite", "paper", "--methods", "B3,P", "--dry-run", "--json", "--out", str(tmp_path)]
+    asked += ["--planner", "adapted=starter-135m"]
+    runner = Runner(narrowed("paper", "B3,P", 0, "", "adapted=starter-135m"), tmp_path, clock=time.perf_counter,
+                    tell=print)  # fmt: skip
+    unit = next(unit for unit in units_of(runner.suite, "plan") if unit.method == "P")
+    for order, (new, seconds) in enumerate([(1, 7.0), (0, 0.0), (1, 9.0)]):
+        runner.journal("plan").append({"key": unit.row_key(order), "asked": new, "planner_s": seconds})
+    flown = next(iter(lines_of(units_of(runner.suite, "fly")[0])))
+    runner.journal("fly").append(flown | {"wall_s": 11.0})
+    assert call(asked) == 0
+    told = msgspec.json.decode(capsys.readouterr().out)
+    assert told["question_s"] == {"base-135m": GUESS_SMALL_S, "starter-135m": 8.0}
+    assert (told["episode_s"], told["basis"]) == (11.0, "measured here")
+
+
+def test_methods_that_fly_a_single_run_are_warned_of(tmp_path, capsys, monkeypatch):
+    said = "fewer than two runs of B1, B3: the report will have no interval"
+    monkeypatch.setattr(evaluate, "_passes", lambda *_: True)
+    for more in (("--dry-run",), ()):
+        asked = ["evaluate", "--methods", "B1,B3", "--planner", "template", "--out", str(tmp_path), *more]
+        assert call([*asked, "--suite", "smoke", "--episodes", "5"]) == 0
+        assert said in capsys.readouterr().err
+    assert call(["evaluate", "--methods", "B1", "--suite", "first", "--dry-run"]) == 0
+    assert "fewer than two runs" not in capsys.readouterr().err
+    suite = open_suite("refusals")
+    assert [suite.clusters(name) for name in ("B1", "P")] == [6 * 20, 3 * 20]
+    assert open_suite("paper").clusters("B3") == 40
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "said"),
+    [
+        (("--suite", "smoke", "--planner", "nosuch"), 5, "base-135m"),
+        (("--suite", "smoke", "--planner", "foo=template"), 5, "adapted_no_kl"),
+        (("--suite", "smoke", "--planner", "base="), 2, "PART=PLANNER"),
+        (("--suite", "smoke", "--planner", "base=template,base=adversary"), 2, "each part once"),
+        (("--suite", "paper", "--planner", "adapted=adapter:deadbeef"), 5, "deadbeef"),
+        (("--suite", "smoke", "--methods", "B1,B1,B3"), 5, "B1 twice"),
+        (("--suite", "smoke", "--methods", "B1,"), 2, "--methods: got 'B1,'"),
+        (("--suite", "smoke", "--robots", "panda,"), 2, "--robots: got 'panda,'"),
+        (("--suite", "smoke", "--robots", "base"), 5, "clutter_grasp I: panda, "),
+        (("--suite", "refusals", "--robots", "ur5e", "--planner", "adapted=base-135m"), 5, "hazardous: panda;"),
+        (("--suite", "paper", "--methods", "B3-depth"), 5, "Leave out B3-depth"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused_by_a_dry_run_too(tmp_path, capsys, monkeypatch, more, code, said):
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    for asked in (more, (*more, "--dry-run")):
+        assert call(["evaluate", *asked, "--out", str(tmp_path / "x")]) == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_dry_run_refuses_a_folder_that_could_not_be_gone_on_with(tmp_path):
+    asked = ["evaluate", "--suite", "smoke", "--dry-run", "--out", str(tmp_path)]
+    smoke = open_suite("smoke")
+    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare(origin())
+    assert call(asked) == 0
+    assert call([*asked, "--methods", "B1"]) == 5  # all that is there has to be named
+    (tmp_path / "config.json").unlink()
+    Runner(smoke, tmp_path, clock=time.perf_counter, tell=print).prepare({**origin(), "code": "another"})
+    assert call(asked) == 5
+
+
+@pytest.mark.parametrize(
+    ("more", "missing"),
+    [
+        (("--suite", "smoke"), "minilm-l6-v2-int8"),
+        (("--suite", "smoke", "--methods", "B1", "--planner", "qwen2.5-coder-1.5b-instruct"), "qwen2.5-coder-1.5b"),
+        (("--suite", "smoke", "--methods", "B1", "--planner", "transformers:base-135m"), "smollm2-135m-instruct"),
+        (("--suite", "smoke", "--methods", "P", "--planner", "adapted=adapter:aa"), "adapter"),
+    ],
+)
+def test_weights_that_are_not_there_are_missed_once_and_before_anything_is_flown(
+    tmp_path, capsys, monkeypatch, more, missing
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    assert call(["evaluate", *more, "--jobs", "1", "--out", str(tmp_path / "x")]) == 5
+    said = capsys.readouterr().err
+    assert missing in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "x" / "config.json").exists()
+
+
+def test_cameras_that_cannot_see_are_missed_before_anything_is_flown(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert call(["evaluate", "--suite", "eyes", "--methods", "B3-depth", "--planner", "template",
+                 "--out", str(tmp_path / "x")]) == 5  # fmt: skip
+    said = capsys.readouterr().err
+    assert "cameras of B3-depth" in said
+    assert "apt-get install" in said
+    assert not (tmp_path / "x").exists()
+
+
+def test_who_interrupts_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "_passes", interrupted)
+    assert call(["evaluate", "--suite", "smoke", "--methods", "B1", "--out", str(tmp_path)]) == 130
+    said = capsys.readouterr().err
+    assert "the same command goes on" in said
+    assert "dualbrain: interrupted" in said
+
+
+@pytest.mark.parametrize(("broken", "done"), [("plan", STAGES), ("pilot", ("pilot",)), ("", STAGES)])
+def test_answers_that_are_missing_are_asked_for_in_flight_but_nothing_is_flown_without_epsilon(
+    monkeypatch, broken, done
+):
+    begun = []
+    monkeypatch.setattr(evaluate, "_stage", lambda runner, stage, *_: begun.append(stage) or stage != broken)
+    assert evaluate._passes(None, STAGES, None, 1) == (not broken)
+    assert tuple(begun) == done
