@@ -13,6 +13,7 @@ from dualbrain.cli.report import flown_on, results
 from dualbrain.dashboard.evaluation_charts import COLOURS, MARKERS, curves, latencies, look, panels, together, traces
 from dualbrain.dashboard.evaluation_page import write_page
 from dualbrain.dashboard.evaluation_report import Shot, Told, facts, render_evaluation
+from dualbrain.evaluation.adversary import Adversary
 from dualbrain.evaluation.contrasts import contrasts, pairs
 from dualbrain.evaluation.cost import Cost
 from dualbrain.evaluation.decisions import decision_grid, latencies_of
@@ -104,10 +105,12 @@ def test_the_gate_is_told_in_milliseconds_and_whose_time_that_is(rows):
 
 def test_what_could_not_be_is_not_told_as_a_share_of_nothing():
     bound, free = ({"constrained_by": by} for by in ("llguidance 1.9.1", f"{FREE_BY}; header given"))
-    lines = {line[0]: line for line in violations([row("B1", **bound), row("B3", **free), row("A1")]).rows}
+    attack = {"constrained_by": Adversary().propose(request()).constrained_by}
+    flown = [row("B1", **bound), row("B3", **free), row("A1"), row("A3", **attack)]
+    lines = {line[0]: line for line in violations(flown).rows}
     told = lines["unauthorised skill"]
     assert told[1] == "–"
-    assert [cell.split()[0] for cell in told[2:]] == ["0.0", "0.0"]  # nothing bound them
+    assert [cell.split()[0] for cell in told[2:]] == ["0.0"] * 3  # nothing bound them
     assert lines["collision with a person"][1].startswith("0.0 %")
     assert violations([row("B1", **bound)]).note.endswith("that nobody holds")
     mixed = [row("B1", **bound), row("B1", 1, **free)]
@@ -349,6 +352,7 @@ def test_a_page_elsewhere_has_the_table_of_all_episodes_beside_it(rows, suite, t
     flown, config, _ = results(page)
     assert flown == [msgspec.structs.replace(one, trace_t=[], trace_h=[], trace_delta=[]) for one in results(folder)[0]]
     assert config["flown"] == flown_on(folder, {})
+    assert (page / FILE).stat().st_mode == (page / "report.md").stat().st_mode  # whoever reads the page reads the table
     assert call(["report", str(page), "--page", str(page)]) == 0
 
 

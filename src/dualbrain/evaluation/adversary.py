@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dualbrain.evaluation.drawing import branches, draw_all, rng_of, write
+from dualbrain.planner.asking import NOTHING
 from dualbrain.planner.protocol import STOP
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
@@ -52,7 +53,7 @@ class Adversary:
             actions = [_beyond(action, known) for action in actions]
         registry = "00000000" if attack == "foreign" else ""
         text = write(request, actions, registry=registry)
-        return Proposal(text, STOP, f"{self.name} ({attack})", "nothing", {"total": 0.0})
+        return Proposal(text, STOP, f"{self.name} ({attack})", NOTHING, {"total": 0.0})
 
     def close(self) -> None:
         """Nothing is held open."""

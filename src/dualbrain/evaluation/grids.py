@@ -16,7 +16,7 @@ from dualbrain.evaluation.row import Row
 from dualbrain.evaluation.severity import SAFETY, UNAUTHORISED
 from dualbrain.evaluation.statistics import Clusters, Estimate, estimate
 from dualbrain.evaluation.words import KINDS
-from dualbrain.planner.asking import FREE_BY
+from dualbrain.planner.asking import NOTHING
 
 NONE = "–"
 PERCENT = ("rate", "share")
@@ -139,7 +139,7 @@ def _shares_of(rows: Sequence[Row], methods: Sequence[str], kind: str) -> list[s
 def _bound(rows: Sequence[Row], method: str) -> bool:
     """Whether every answer that `method` got was bound by a grammar while it was written."""
     by = [row.constrained_by for row in rows if row.method == method]
-    return all(one and not one.startswith(FREE_BY) for one in by)
+    return all(one and not one.startswith(NOTHING) for one in by)
 
 
 def families(rows: Sequence[Row]) -> Grid:

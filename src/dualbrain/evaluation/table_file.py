@@ -10,7 +10,7 @@ from typing import Any, get_args, get_origin
 
 import msgspec
 
-from dualbrain.adaptation.durable import write_durably
+from dualbrain.adaptation.durable import whole_file
 from dualbrain.errors import InvalidSetup, MissingPart
 from dualbrain.evaluation.row import Row
 
@@ -22,7 +22,10 @@ FIX = "Install it with `pip install 'dualbrain[evaluation]'`."
 
 
 def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None:
-    """Write `rows` to `path`, whole or not at all. What has parts (violations, times by part, answers) is JSON text."""
+    """Write `rows` to `path`, whole or not at all. What has parts (violations, times by part, answers) is JSON text.
+
+    Who may read it is for the umask to say.
+    """
     core, io = _arrow()
     fields = msgspec.structs.fields(Row)
     columns = [_column(core, one.type, [getattr(row, one.name) for row in rows]) for one in fields]
@@ -31,7 +34,8 @@ def write_table(rows: Sequence[Row], config: dict[str, Any], path: Path) -> None
     table = core.Table.from_batches([core.RecordBatch.from_arrays(columns, schema=schema)])
     written = BytesIO()  # the writer answers a full disk with a panic
     io.write_parquet(table, written, compression=COMPRESSION)
-    write_durably(path, written.getvalue())
+    with whole_file(path) as beside:
+        beside.write_bytes(written.getvalue())
 
 
 def without_trace(row: Row) -> Row:

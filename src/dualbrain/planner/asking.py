@@ -17,7 +17,9 @@ from dualbrain.planner.short_prompt import render_short, short_template_hash
 CONSTRAINED_BY = "llguidance in llama.cpp (xllamacpp); header given"
 """The id and context of a contract are given to the model as the beginning of its answer: they are fixed anyway, and
 reading them is four times as fast as writing them."""
-FREE_BY = "nothing (free decoding)"
+NOTHING = "nothing"
+"""What bound an answer for which no grammar was in force: how such a `constrained_by` begins."""
+FREE_BY = f"{NOTHING} (free decoding)"
 
 
 @dataclass(frozen=True, slots=True)
