@@ -23,7 +23,7 @@ from proofs.journal import Journal
 from proofs.origin import revision
 from proofs.proof import Options, Proof
 
-from dualbrain.planner.registry import LARGE_PLANNER
+from dualbrain.planner.registry import DEFAULT_PLANNER
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "benchmarks" / "journals"
@@ -56,7 +56,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("names", nargs="*", metavar="NAME", choices=[[], *PROOFS], help=", ".join(PROOFS))
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--limit", type=int, help="consider only the first N units of each proof")
-    parser.add_argument("--planner", default=LARGE_PLANNER, help="for runs: name, URL or contract file (.json)")
+    parser.add_argument("--planner", default=DEFAULT_PLANNER, help="for runs: name, URL or contract file (.json)")
     parser.add_argument("--nice", type=int, default=5, help="niceness of the workers (default 5)")
     parser.add_argument("--fresh", action="store_true", help="set the old journal aside and start anew")
     parser.add_argument("--tables", action="store_true", help="run nothing, only print what is there")

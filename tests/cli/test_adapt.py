@@ -15,7 +15,6 @@ import pytest
 
 from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
 from dualbrain.adaptation.fitting.team import ALONE
-from dualbrain.adaptation.serving.default_planner import default_planner
 from dualbrain.cli import adapt as command
 from dualbrain.cli import launcher, when_idle
 from dualbrain.cli.exits import Exit
@@ -24,6 +23,7 @@ from dualbrain.memory.compact import swap
 from dualbrain.memory.events import ADAPTER, AdapterUse
 from dualbrain.memory.hashing import HashingEncoder
 from dualbrain.memory.ledger import LedgerReader
+from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.runtime.idleness import Machine
 from dualbrain.runtime.low_load import Pace
 from dualbrain.runtime.vocabulary import vocabulary_at
@@ -157,10 +157,9 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = tell("adapt", "--out", "fit", *of.split())
     assert code == Exit.SUCCESS
-    beside = "" if serves else f"@{default_planner('panda')}"
     assert err.splitlines()[-3:] == [
         f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
-        f'  dualbrain run "…" --robot panda --planner shadow:{one}{beside}',
+        f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else f"@{DEFAULT_PLANNER}"}',
         f"  dualbrain adapters promote {one} --measured fit/measured.json",
     ]
 

@@ -12,12 +12,12 @@ from dualbrain.adaptation.adapters import Adapters
 from dualbrain.adaptation.bases import hash_of_base
 from dualbrain.adaptation.config import AdaptConfig
 from dualbrain.adaptation.promotion import Measured
-from dualbrain.adaptation.serving.default_planner import default_planner
 from dualbrain.adaptation.serving.opening import shadow_log
 from dualbrain.adaptation.serving.packaged import packaged_folder
 from dualbrain.adaptation.serving.shadow import Glance
 from dualbrain.cli.adapters import HEARD
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.run import PLANNER
 from dualbrain.planner.protocol import STOP, TIMEOUT
 from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
@@ -235,7 +235,6 @@ def test_nothing_is_promoted_that_has_not_stood_in_the_shadow_unless_that_is_wai
     assert "the shadow was waived" in tell("adapters", "history")[1]
 
 
-PLANNER = default_planner("panda")
 WHOEVER = (PLANNER, f"{PLANNER} in torch", "smollm2-135m-instruct", "base-135m", "mine@localhost")
 
 

@@ -6,18 +6,18 @@ import pytest
 
 from dualbrain.errors import MissingPart, UnknownName
 from dualbrain.planner.openai import ServerPlanner
-from dualbrain.planner.registry import LARGE_PLANNER, SMALL_PLANNER, open_planner, planner_names
+from dualbrain.planner.registry import DEFAULT_PLANNER, SMALL_PLANNER, open_planner, planner_names
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.questions import request
 
 
 def test_the_planners_are_the_language_models_of_the_manifest() -> None:
-    assert set(planner_names()) == {LARGE_PLANNER, SMALL_PLANNER}
+    assert set(planner_names()) == {DEFAULT_PLANNER, SMALL_PLANNER}
 
 
 def test_missing_weights_say_how_to_get_them(tmp_path: Path) -> None:
-    with pytest.raises(MissingPart, match=f"dualbrain models fetch {LARGE_PLANNER}"):
-        open_planner(LARGE_PLANNER, tmp_path)
+    with pytest.raises(MissingPart, match=f"dualbrain models fetch {DEFAULT_PLANNER}"):
+        open_planner(DEFAULT_PLANNER, tmp_path)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

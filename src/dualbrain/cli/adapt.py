@@ -216,15 +216,14 @@ def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, jso
 
 def _next(card: Any, folder: Path, ledger: Path | None, *, alone: bool) -> tuple[str, ...]:
     """The commands that lead a new adapter into service, in their order; `alone` if none serves in its place yet."""
-    from dualbrain.adaptation.serving.default_planner import default_planner
+    from dualbrain.planner.registry import DEFAULT_PLANNER
 
     one, results = card.id[:16], folder / "measured.json"
-    beside = f"@{default_planner(card.robot)}" if alone else ""
     data, told = (shlex.quote(str(path)) for path in (folder / DATASET, results))
     of = f" --ledger {shlex.quote(str(ledger))}" if ledger else ""
     return (
         f"dualbrain adapters measure {one} --data {data} --out {told}{of}",
-        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{beside}',
+        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{f"@{DEFAULT_PLANNER}" if alone else ""}',
         f"dualbrain adapters promote {one} --measured {told}",
     )
 

@@ -14,6 +14,7 @@ from dualbrain.cli.console import Account, answer, listing
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
 from dualbrain.cli.memory_open import tell
+from dualbrain.cli.run import PLANNER
 from dualbrain.errors import UNREADABLE, DualbrainError, InvalidSetup
 
 if TYPE_CHECKING:
@@ -182,11 +183,9 @@ def heard(registry: Adapters, one: str, champion: str) -> int:
     return whole(beside(glances(shadow_log(registry.folder, one)), serves))
 
 
-def shadow_fault(one: str, robot: str, champion: str, count: int, least: int) -> str:
+def shadow_fault(one: str, champion: str, count: int, least: int) -> str:
     """What is lacking if an adapter gave `count` whole answers in the shadow and `least` are wanted, "" if nothing."""
-    from dualbrain.adaptation.serving.default_planner import default_planner
-
-    beside = "" if champion else f"@{default_planner(robot)}"
+    beside = "" if champion else f"@{PLANNER}"
     other = "" if champion else ", or beside another planner that the robot is run with"
     fix = f"let it hear more with `--planner shadow:{one[:16]}{beside}`{other}; or waive it: `--shadow 0`"
     return "" if count >= least else f"{count} of {least} whole answers in the shadow of who serves: {fix}"
@@ -212,7 +211,6 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
 
     from dualbrain.adaptation.adapters import NotPromoted
     from dualbrain.adaptation.promotion import Measured, Tolerances, decide
-    from dualbrain.adaptation.serving.default_planner import default_planner
     from dualbrain.adaptation.serving.names import PREFIX
 
     try:
@@ -229,9 +227,9 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     for measure, found in decision.measures.items():
         surely = "" if found.low is None else f", 95 %: {found.low:+.4g} to {found.high:+.4g}"
         Account().print(f"{measure}: {found.before:.4g} -> {found.after:.4g}, gain {found.gain:+.4g}{surely}")
-    card, count = registry.card(one), heard(registry, one, decision.champion)
+    count = heard(registry, one, decision.champion)
     if decision.promotes and (
-        fault := shadow_fault(one, card.robot, decision.champion, count, shadow) or canary_fault(registry, one)
+        fault := shadow_fault(one, decision.champion, count, shadow) or canary_fault(registry, one)
     ):
         Account().print(f"not promoted: {fault}")
         return Exit.FAILED_SAFELY
@@ -241,9 +239,10 @@ def promote(name: str, /, *, measured: Path, shadow: Count = HEARD) -> int:
     except NotPromoted as why:
         Account().print(str(why))
         return Exit.FAILED_SAFELY
+    card = registry.card(one)
     Account().print(
         f"promoted: adapter {one[:16]} on {card.base} is the champion of {card.robot} now. It answers where "
-        f"`--planner adapter:champion` is said; without --planner {default_planner(card.robot)} still does."
+        f"`--planner adapter:champion` is said; without --planner {PLANNER} still does."
     )
     return Exit.SUCCESS
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dualbrain.cli.exits import Exit
+from dualbrain.cli.run import PLANNER
 
 
 def demo(
     instruction: str = "put the red cube in the bowl",
     /,
     *,
-    planner: str = "",
+    planner: str = PLANNER,
     headless: bool = False,
     scene: str = "8",
 ) -> int:
@@ -20,7 +21,7 @@ def demo(
     instruction
         What to do, in words.
     planner
-        Name from `dualbrain models list`, or the URL of an OpenAI-compatible server; default: starter-135m.
+        Name from `dualbrain models list`, or the URL of an OpenAI-compatible server.
     headless
         No live view; then time runs as fast as it can, in one process.
     scene

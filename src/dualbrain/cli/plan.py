@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from dualbrain.cli.console import Account, answer, listing, plain
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.folders import cache, home
+from dualbrain.cli.run import PLANNER
 from dualbrain.errors import WrongUsage
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def plan(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = "",
+    planner: str = PLANNER,
     memory: Literal["on", "off"] = "on",
     knowledge: Literal["on", "off"] = "on",
     ledger: Path | None = None,
@@ -49,8 +50,7 @@ def plan(
     scene
         Which world the robot would see: a number, FAMILY:SEED or a scene file.
     planner
-        Name from `dualbrain models list`, an adapter (`adapter:champion`), a GGUF file, or a server's URL; default as
-        for `dualbrain run`.
+        Name from `dualbrain models list`, an adapter (`adapter:champion`), a GGUF file, or a server's URL.
     memory
         "off" recalls nothing.
     knowledge
@@ -220,14 +220,12 @@ def _documents(here: Standpoint) -> Generator[LookUp]:
 
 @contextmanager
 def _planner(name: str, here: Standpoint) -> Generator[Planner]:
-    from dualbrain.adaptation.serving.default_planner import default_planner
     from dualbrain.adaptation.serving.opening import open_planner
 
     prefixes = cache() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
-    robot = here.body.name
     opened = open_planner(
-        name or default_planner(robot), cache(), adapters=home() / "adapters", robot=robot, registry=here.registry.hash,
+        name, cache(), adapters=home() / "adapters", robot=here.body.name, registry=here.registry.hash,
         key=os.environ.get("OPENAI_API_KEY", ""), prefixes=prefixes,
     )  # fmt: skip
     try:

@@ -14,6 +14,7 @@ from dualbrain.cli.share import share
 from dualbrain.errors import WrongUsage
 from dualbrain.memory.plasticity import EPSILON
 
+PLANNER = "qwen2.5-coder-1.5b-instruct"
 MOST_TRIES = 5
 
 
@@ -23,7 +24,7 @@ def run(
     *,
     robot: str = "panda",
     scene: str = "0",
-    planner: str = "",
+    planner: str = PLANNER,
     filter: Literal["on", "off"] = "on",
     contract: Path | None = None,
     goal: str = "",
@@ -56,8 +57,7 @@ def run(
         crossing, aisles; of mobile_panda workroom, busy_workroom) or a scene file.
     planner
         Name from `dualbrain models list`, an adapter (`adapter:ID`, `adapter:champion`, or one that comes with
-        dualbrain), or the URL of an OpenAI-compatible server; default: starter-135m for a panda, for any other robot
-        qwen2.5-coder-1.5b-instruct.
+        dualbrain), or the URL of an OpenAI-compatible server.
     filter
         "off" writes the nominal control unfiltered: for comparison in simulation only.
     contract

@@ -11,10 +11,10 @@ from dualbrain.planner.openai import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
 from dualbrain.weights import MANIFEST, locate
 
-LARGE_PLANNER = "qwen2.5-coder-1.5b-instruct"
-"""For any robot: its prompt tells it the skills."""
+DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
 SMALL_PLANNER = "smollm2-135m-instruct"
-"""What adapters sit on, and for tests; it does not plan unaided."""
+"""For tests; it does not plan unaided."""
+
 
 KIND = "planner"
 ALSO = "a GGUF file or URL also works"

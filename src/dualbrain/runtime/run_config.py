@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dualbrain.memory.plasticity import EPSILON
 from dualbrain.memory.store import StoreReport
+from dualbrain.planner.registry import DEFAULT_PLANNER
 from dualbrain.records import Episode
 from dualbrain.runtime.control_tick import Moment
 from dualbrain.runtime.thinking import Clock
@@ -24,8 +25,7 @@ class RunConfig:
     cache: Path
     robot: str = "panda"
     scene: str = "0"
-    planner: str = ""
-    """Empty: the default planner of the robot; a session writes down which one that was."""
+    planner: str = DEFAULT_PLANNER
     contract: Path | None = None
     guard: bool = True
     seed: int = 0

@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 
 from dualbrain import __version__, weights
-from dualbrain.adaptation.serving.default_planner import default_planner
 from dualbrain.adaptation.serving.opening import open_planner, origin
 from dualbrain.contracts.narrowing import narrows
 from dualbrain.embodiment.body import load_body
@@ -77,9 +76,7 @@ class Session:
         A `planner` that is handed in serves this session and stays open; otherwise the configured one is opened.
         """
         out = config.out if config.out.name not in ("", "..") else config.out.resolve()  # a run needs a name
-        named = config.planner if planner or config.contract else config.planner or default_planner(config.robot)
-        self.config = replace(config, instruction=storable(config.instruction), out=out, planner=named)
-        self.times = times
+        self.config, self.times = replace(config, instruction=storable(config.instruction), out=out), times
         self._stack = ExitStack()
         self._interrupted = False
         self._kept: list[str] = []
