@@ -2,7 +2,7 @@
 
 Both are asked as they serve, the one by the short prompt it was taught, the other by rules, skills and worked examples,
 each bound by the grammar of the scene. What is right is carried out with the filter on. The rule by which the small one
-becomes the planner that dualbrain starts with stood before either was asked: it is right at least as often.
+becomes the planner of `make demo` stood before either was asked: it is right at least as often.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Starter:
     name = "starter"
     claim = (
         f"{QUESTIONS} held-out instructions at a table (other sentences, scenes, a family and kinds of things that no "
-        f"lesson held), each planner as it serves. By a rule that stood before, {SMALL} becomes the planner that "
-        f"dualbrain starts with if it is right at least as often as {LARGE}."
+        f"lesson held), each planner as it serves. By a rule that stood before, {SMALL} becomes the planner of "
+        f"`make demo` if it is right at least as often as {LARGE}."
     )
 
     def units(self, options: Options) -> list[Unit]:
@@ -111,7 +111,7 @@ def verdict(rows: list[Row]) -> str:
     words = "is" if told.effect >= 0.0 else "is not"
     return (
         f"Right, {SMALL} less {LARGE}, at the same questions: {told.effect:+.0%} (95 % interval {told.low:+.0%} to "
-        f"{told.high:+.0%}); by the rule {SMALL} {words} the planner that dualbrain starts with."
+        f"{told.high:+.0%}); by the rule {SMALL} {words} the planner of `make demo`."
     )
 
 

@@ -4,13 +4,19 @@ import inspect
 import io
 import json
 import sys
+from pathlib import Path
 
 import jsonschema
 import pytest
 
+from dualbrain.adaptation.adapter_card import read_adapter_card
+from dualbrain.adaptation.serving.fitness import require_fit
+from dualbrain.adaptation.serving.packaged import packaged_folder
+from dualbrain.cli.demo import demo
 from dualbrain.cli.evaluate import evaluate
 from dualbrain.cli.exits import Exit
 from dualbrain.cli.report import compare, report
+from dualbrain.runtime.vocabulary import vocabulary
 from tests.stories.rig import GRASP, PLACE, contract, decline, pause
 
 GOOD = contract(("grasp", GRASP), ("place", PLACE))
@@ -153,3 +159,12 @@ def test_help_and_the_function_tell_one_text(tell, command, function):
     assert code == Exit.SUCCESS
     assert told
     assert told in " ".join(out.split())
+
+
+def test_the_demo_is_planned_by_one_that_comes_with_dualbrain_and_knows_its_robot():
+    """What is shown first needs no large model; the set-up fetches what the same planner needs."""
+    planner = inspect.signature(demo).parameters["planner"].default
+    card = read_adapter_card(packaged_folder(planner))
+    require_fit(card, "panda", vocabulary("panda").hash)
+    makefile = Path(__file__).parents[2].joinpath("Makefile").read_text()
+    assert f"PLANNER ?= {planner}\n" in makefile

@@ -31,9 +31,9 @@ def make(name: str, /, *, out: Path | None = None, json: Flag = False) -> int:
 
     base-135m is SmolLM2 taught the language of contracts of panda, ur5e and base: templates with random valid
     parameters, nothing carried out. It plans, and knows nothing of any body. starter-135m is that one after a
-    first night: such contracts for the panda, each carried out in its scene, and those taught that went well. Interrupted in
-    any way, the same command with the same --out goes on where it was. A data set there that is not the one which that
-    adapter is taught today is refused.
+    first night: such contracts for the panda, each carried out in its scene, and those taught that went well.
+    Interrupted in any way, the same command with the same --out goes on where it was. A data set there that is not the
+    one which that adapter is taught today is refused.
 
     Parameters
     ----------

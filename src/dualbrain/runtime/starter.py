@@ -5,8 +5,8 @@ verdict was success and Δ small, and for no other reason. That nothing moved pr
 another word: the lesson was drawn as one that cannot or must not be done. They are carried out, too, and stand in the
 ledger.
 
-It sits on base-135m: a night teaches a body and not a language. Fitted on the bare model by the same samples, it was
-right in fewer than half as many held-out questions as base-135m (docs/results/LOG.md).
+It sits on base-135m: a night teaches a body, not a language. Fitted on the bare model by the same samples it was right
+in 16 of 60 held-out questions instead of 36 (docs/results/LOG.md).
 """
 
 from __future__ import annotations
