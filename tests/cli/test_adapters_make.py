@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.adaptation import bases
+from dualbrain.adaptation import bases, curate
 from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
 from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
 from dualbrain.adaptation.sample import Sample
@@ -57,7 +57,7 @@ def stage(monkeypatch):
     return here
 
 
-def test_it_flies_chooses_and_fits_the_bare_model_by_the_whole_objective(tell, stage, tmp_path):
+def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(tell, stage, tmp_path):
     code, out, err = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made")
     data = read_dataset(tmp_path / "made" / "dataset")
     assert (code, out) == (Exit.SUCCESS, "")
@@ -117,6 +117,15 @@ def test_a_starter_is_not_fitted_on_another_data_set(tell, stage, tmp_path, part
     assert words in err
     assert "another --out" in err
     assert contents(tmp_path / "made") == before
+
+
+def test_a_data_set_that_was_split_by_another_rule_is_another_one(tell, stage, tmp_path, monkeypatch):
+    tell("adapters", "make", "starter-135m", "--out", "made")
+    monkeypatch.setattr(curate, "held_out", lambda groups, share, salt: frozenset(groups[:1]))
+    stage.fitted.clear()
+    code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
+    assert (code, stage.fitted) == (Exit.SETUP, [])
+    assert f"samples {read_card(tmp_path / 'made' / 'dataset').hash[:16]} of the same ledger, now " in err
 
 
 def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):

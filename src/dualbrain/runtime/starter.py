@@ -59,21 +59,23 @@ def taught(day: Path) -> Dataset:
 def not_taught(card: DatasetCard, folder: Path, number: int) -> str:
     """In what the data set of `card` is another than that of a day of `number` proposals in `folder`; "" if in none.
 
-    The vocabulary, the prompt and the dials are those of today, and the ledger is the day's.
+    The vocabulary, the prompt and the dials are those of today, the ledger is the day's, and what teaches there and on
+    which side of the split is chosen as it would be today.
     """
     registry = vocabulary(ROBOT)
     made: dict[str, object] = {
         "form": FORM, "robot": ROBOT, "registry": registry.hash, "also": {}, "site": "", "memories": number,
     }  # fmt: skip
     others = [made_otherwise(card, made), other_dials(card, DIALS.curation)]
-    if not _of_day(card, folder):
+    lived = left_by_steps(folder)
+    if lived is None or not _of_day(card, lived):
         others.append(f"ledger {card.ledger[:16] or 'none'}, now that of {folder}")
+    elif not any(others) and (now := taught(lived).card.hash) != card.hash:
+        others.append(f"samples {card.hash[:16]} of the same ledger, now {now[:16]}")
     return "; ".join(filter(None, others))
 
 
-def _of_day(card: DatasetCard, folder: Path) -> bool:
-    """Whether the data set of `card` was read from the ledger of the day in `folder`."""
-    if (day := left_by_steps(folder)) is None:
-        return False
+def _of_day(card: DatasetCard, day: Path) -> bool:
+    """Whether the data set of `card` was read from the ledger of `day`."""
     with LedgerReader(day / LEDGER) as ledger:
         return goes_on_from(ledger, Head(card.event, card.ledger))
