@@ -26,11 +26,11 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.adaptation.bases import find_base
+from dualbrain.adaptation.adapters.base_models import find_base
 from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
-from dualbrain.adaptation.dataset import Dataset
-from dualbrain.adaptation.lessons.course import DIALS, course, language_judge
-from dualbrain.cli import folders
+from dualbrain.adaptation.curation.dataset import Dataset
+from dualbrain.adaptation.synthetic.dataset import DIALS, course, language_judge
+from dualbrain.cli.common import paths
 
 VARIANTS = ("ours, plain", "ours, whole objective", "TRL SFTTrainer")
 BASE, WARM = "smollm2-135m-instruct", 2
@@ -70,8 +70,8 @@ def parse() -> argparse.Namespace:
 
 def lessons_of(asked: argparse.Namespace) -> Dataset:
     """As many lessons as the steps need."""
-    from dualbrain.runtime.classroom import ROBOTS, lessons  # noqa: PLC0415  (not in the process that only fits)
-    from dualbrain.runtime.vocabulary import vocabulary  # noqa: PLC0415
+    from dualbrain.grounding.vocabulary import vocabulary  # noqa: PLC0415
+    from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons  # noqa: PLC0415  (not in the process that only fits)
 
     rows = lessons((asked.steps + WARM) * asked.batch, "teach")
     return course(rows, (), {robot: vocabulary(robot) for robot in ROBOTS})
@@ -157,13 +157,13 @@ def work(asked: argparse.Namespace) -> None:
 
 def with_ours(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
     """Our own loop."""
-    from dualbrain.adaptation.fitting.base_model import open_base  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.learner import Learner  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.loop import Fit  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.precision import choose  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.base_model import open_base  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.precision import choose  # noqa: PLC0415
+    from dualbrain.adaptation.training.trainer import Fit  # noqa: PLC0415
 
-    base = find_base(BASE, folders.cache())
-    learner = Learner(*open_base(base, folders.cache(), choose("auto")), config.fit)
+    base = find_base(BASE, paths.cache())
+    learner = Learner(*open_base(base, paths.cache(), choose("auto")), config.fit)
     with tempfile.TemporaryDirectory() as folder:
         fit = Fit(learner, dataset, config, language_judge({}), Path(folder), base=base.sha256, clock=time.monotonic)
         turns.ready()
@@ -176,12 +176,12 @@ def with_trl(dataset: Dataset, config: AdaptConfig, turns: Turns) -> None:
     import trl  # noqa: PLC0415
     from transformers import TrainerCallback  # noqa: PLC0415
 
-    from dualbrain.adaptation.fitting.base_model import open_base  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.batch import encode  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.learner import Learner  # noqa: PLC0415
-    from dualbrain.adaptation.fitting.precision import choose  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.base_model import open_base  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.batching import encode  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: PLC0415
+    from dualbrain.adaptation.training.model.precision import choose  # noqa: PLC0415
 
-    learner = Learner(*open_base(find_base(BASE, folders.cache()), folders.cache(), choose("auto")), config.fit)
+    learner = Learner(*open_base(find_base(BASE, paths.cache()), paths.cache(), choose("auto")), config.fit)
     some = [encode(learner.tokenizer, one, learner.longest) for one in dataset.train]
     rows = [{"input_ids": [*one.prompt, *one.contract],
              "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)} for one in some]  # fmt: skip

@@ -18,14 +18,15 @@ import time
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import BODIES, Body, SelfPairs, Tool, load_body
-from dualbrain.embodiment.robot import at_home
+from dualbrain.grounding.offline_gate import as_specified
 from dualbrain.records import Scene
-from dualbrain.runtime.desk import as_specified
-from dualbrain.safety.barriers.traversable import traversable
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.obstacles import from_scene
-from dualbrain.world.catalogue import open_scene
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import BODIES, load_body
+from dualbrain.robots.model import Body, SelfPairs, Tool
+from dualbrain.safety.barriers.traversable_region import traversable
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 STEPS = 500
 FLANGE = (0.0, 0.0, 0.25)

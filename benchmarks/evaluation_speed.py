@@ -21,14 +21,14 @@ import msgspec
 from proofs.figures import table
 from proofs.origin import machine, revision
 
-from dualbrain.cli import folders
-from dualbrain.evaluation.crew import Processes
-from dualbrain.evaluation.flight import PARTS
-from dualbrain.evaluation.planners import Sources
-from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.runner import Progress, Runner, rows_of
-from dualbrain.evaluation.suite import Suite, open_suite
-from dualbrain.evaluation.work import Workplace
+from dualbrain.cli.common import paths
+from dualbrain.evaluation.episodes.case_runner import PARTS
+from dualbrain.evaluation.planners.factory import Sources
+from dualbrain.evaluation.protocol.suite import Suite, open_suite
+from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.runner.runner import Progress, Runner, rows_of
+from dualbrain.evaluation.runner.worker import Workplace
+from dualbrain.evaluation.runner.worker_pool import Processes
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -58,7 +58,7 @@ def measured(suite: Suite, jobs: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="dualbrain-speed-") as folder:
         out = Path(folder)
         runner = Runner(suite, out, clock=time.monotonic, tell=tell)
-        place = Workplace(suite, out, Sources(folders.cache(), out / "adapters"), time.perf_counter, runner.epsilon())
+        place = Workplace(suite, out, Sources(paths.cache(), out / "adapters"), time.perf_counter, runner.epsilon())
         load = os.getloadavg()[0]
         runner.advance("fly", Processes(place.make, jobs))
         rows = rows_of(runner.journal("fly").lines())

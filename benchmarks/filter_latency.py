@@ -29,7 +29,7 @@ from peers.scenes import PRIMITIVES, ROWS
 from peers.setup_environments import ENVIRONMENTS
 from proofs.origin import machine, revision
 
-from dualbrain.safety.native import kernel_hash
+from dualbrain.safety.cbf.kernel import kernel_hash
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ENVIRONMENTS / "figures.jsonl"

@@ -19,11 +19,11 @@ import time
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.records import Pose, Sphere
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.safety.native import kernel_hash
+from dualbrain.core.geometry.shapes import Pose, Sphere
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.safety.cbf.kernel import kernel_hash
 
 SPHERES = 10
 """Spheres of the body in the `rows` setting: two on each of the last five links that have some."""

@@ -13,11 +13,12 @@ import statistics
 import time
 from collections.abc import Callable
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
-from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted
 
 NAMES = SceneNames(("red_cube", "blue_cube", "cup"), ("bowl", "tray", "shelf_left"))
@@ -70,7 +71,7 @@ def measure(rounds: int) -> dict[str, object]:
     document = build_document(registry)
     data = json.dumps(document, separators=(",", ":")).encode()
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})
-    peer = jsonschema.Draft7Validator(registry.validation_schema(NAMES))
+    peer = jsonschema.Draft7Validator(validation_schema(registry, NAMES))
     stamps = iter(range(1, 10**9))
 
     def full_gate() -> object:

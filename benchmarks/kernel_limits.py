@@ -21,7 +21,7 @@ from limits.document import page, table
 from limits.loops import again, loop, make, panda, search, worst_program
 from proofs.origin import machine, revision
 
-from dualbrain.safety.native import kernel_hash
+from dualbrain.safety.cbf.kernel import kernel_hash
 
 
 def main() -> int:

@@ -30,17 +30,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
 
-from dualbrain.memory.embedding import JointEmbedding
-from dualbrain.memory.filters import Columns, Filter
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.index import vector_of
-from dualbrain.memory.ledger import Entry, Ledger
-from dualbrain.memory.plasticity import BANDWIDTH
-from dualbrain.memory.provenance import Provenance
-from dualbrain.memory.retrieval import Query, Scan, worth
-from dualbrain.memory.state import Memo
-from dualbrain.memory.store import Memory
-from dualbrain.memory.trace import payload
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.joint_embedding import JointEmbedding
+from dualbrain.memory.index.filters import Columns, Filter
+from dualbrain.memory.index.index import vector_of
+from dualbrain.memory.ledger.ledger import Entry, Ledger
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.rule import BANDWIDTH
+from dualbrain.memory.retrieval.search import Query, Scan, worth
+from dualbrain.memory.state.episode_record import payload
+from dualbrain.memory.state.provenance import Provenance
+from dualbrain.memory.state.state import Memo
 
 DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
@@ -138,8 +138,8 @@ def start(n: int) -> dict[str, float]:
 def _open(path: Path) -> tuple[float, float]:
     """Seconds to open memory in a process of its own, by wall clock and of processor, its imports not counted."""
     program = (
-        "import time, sys, pathlib; from dualbrain.memory.hashing import HashingEncoder; "
-        "from dualbrain.memory.store import Memory; from dualbrain.memory.ledger import Ledger; "
+        "import time, sys, pathlib; from dualbrain.memory.embedding.hashing_encoder import HashingEncoder; "
+        "from dualbrain.memory.memory import Memory; from dualbrain.memory.ledger.ledger import Ledger; "
         "from proofs.episodes import CONFIG, START; began = time.perf_counter(), time.process_time(); "
         "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='a benchmark', now=START); "
         "memory = Memory(ledger, HashingEncoder(384), CONFIG); "

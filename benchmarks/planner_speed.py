@@ -19,16 +19,16 @@ from collections.abc import Sequence
 import msgspec
 from proofs.language import shown
 
-from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving import ahead
-from dualbrain.adaptation.serving.opening import open_planner
-from dualbrain.cli.folders import cache, home
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.adaptation.serving import speculative_decoding
+from dualbrain.adaptation.serving.open_planner import open_planner
+from dualbrain.cli.common.paths import cache, home
+from dualbrain.grounding.vocabulary import vocabulary
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, Recall
-from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.proposals import ROBOT, request_of
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.runtime.data_collection.rollouts import ROBOT, request_of
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
 
 NAME = "base-135m"
 LLAMA, PLAIN, AHEAD = "llama.cpp", "torch, token by token", "torch, reading ahead"
@@ -73,13 +73,13 @@ def opened(kind: str, threads: int) -> Planner:
 
 def answer(planner: Planner, kind: str, question: PlanRequest) -> tuple[float, str]:
     """Seconds and text."""
-    usual, ahead.AHEAD = ahead.AHEAD, 1 if kind == PLAIN else ahead.AHEAD
+    usual, speculative_decoding.AHEAD = speculative_decoding.AHEAD, 1 if kind == PLAIN else speculative_decoding.AHEAD
     try:
         begun = time.monotonic()
         text = planner.propose(question).text
         return time.monotonic() - begun, text
     finally:
-        ahead.AHEAD = usual
+        speculative_decoding.AHEAD = usual
 
 
 def line(name: str, kind: str, answers: Sequence[tuple[float, str]], theirs: Sequence[tuple[float, str]]) -> str:

@@ -19,20 +19,20 @@ from typing import Any
 
 import torch
 
-from dualbrain.adaptation.adapters import Adapters
-from dualbrain.adaptation.bases import Base
-from dualbrain.adaptation.fitting.base_model import open_base
-from dualbrain.adaptation.fitting.batch import prompt_ids
-from dualbrain.adaptation.fitting.worn import worn
-from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.names import folder_of
-from dualbrain.adaptation.serving.opening import N_CTX, wear
-from dualbrain.adaptation.serving.speaking import Said, say
-from dualbrain.cli.folders import cache, home
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.llama import LlamaConfig
-from dualbrain.runtime.classroom import lessons
-from dualbrain.weights import find_file
+from dualbrain.adaptation.adapters.base_models import Base
+from dualbrain.adaptation.adapters.naming import folder_of
+from dualbrain.adaptation.adapters.registry import Adapters
+from dualbrain.adaptation.adapters.stacking import Stack, stack_of
+from dualbrain.adaptation.serving.open_planner import N_CTX, wear
+from dualbrain.adaptation.serving.raw_completion import Said, say
+from dualbrain.adaptation.training.model.base_model import open_base
+from dualbrain.adaptation.training.model.batching import prompt_ids
+from dualbrain.adaptation.training.model.lora_model import worn
+from dualbrain.cli.common.paths import cache, home
+from dualbrain.core.weights import find_file
+from dualbrain.planner.backends.llama_cpp import LlamaConfig
+from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
 
 LONGEST = 320
 NEAR = 0.5

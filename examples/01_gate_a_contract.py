@@ -8,11 +8,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.embodiment.body import load_body
-from dualbrain.skills.vocabulary import arm_registry
+from dualbrain.robots.loader import load_body
+from dualbrain.skills.registry import arm_registry
 
 REGISTRY = arm_registry(load_body("panda"))
 NAMES = SceneNames(graspable=("red_cube", "teal_cup"), receptive=("blue_bowl",))

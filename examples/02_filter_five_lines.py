@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Capsule, HalfSpace, Pose
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 PANDA = load_body("panda")
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))

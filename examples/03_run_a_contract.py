@@ -9,20 +9,21 @@ import json
 
 import numpy as np
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.rules import scene_rules
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
-from dualbrain.world.scenes import make_scene
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.vocabulary import grants, scene_names, vocabulary
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.world import SimulatedWorld
 
 GRASP = {
     "object": "red_cube", "speed": 0.3, "clearance": 0.10, "finger_axis": "along", "opening": 0.07,

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Box, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Filtered, Obstacle, SafetyFilter, Status
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Filtered, Obstacle, SafetyFilter, Status
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from dualbrain.safety.cbf.result import Status
 from dualbrain.safety.control_affine import Barrier, ControlAffine, ControlAffineFilter
-from dualbrain.safety.result import Status
 
 MASS, BRAKE = 1650.0, 0.3 * 9.81  # [kg], hardest braking and acceleration [m/s²]
 HEADWAY, WISH, LEAD = 1.8, 24.0, 14.0  # [s], wanted speed and the other car's [m/s]

@@ -13,11 +13,11 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Capsule, HalfSpace, Pose
-from dualbrain.safety.episode import EpisodeFile, read_episodes
-from dualbrain.safety.filter import Obstacle, SafetyFilter
-from dualbrain.safety.shadow import Shadow
+from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
+from dualbrain.safety.integration.intervention_log import EpisodeFile, read_episodes
+from dualbrain.safety.integration.shadow_mode import Shadow
 
 Array = NDArray[np.float64]
 BODY = load_body("panda")

@@ -10,12 +10,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Box, HalfSpace, Pose
-from dualbrain.safety.driven import driven
-from dualbrain.safety.environment import FilteredEnv
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.safety.shadow import Shadow
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.safety.integration.derating import driven
+from dualbrain.safety.integration.gym_env import FilteredEnv
+from dualbrain.safety.integration.shadow_mode import Shadow
 
 BODY = driven(load_body("panda"), period=0.005, speed=1.5)  # this environment's own period and speed limit
 SCENE = [

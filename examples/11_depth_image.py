@@ -9,13 +9,13 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.solids import distance
-from dualbrain.linalg import matrix
-from dualbrain.records import Box, HalfSpace, Pose, Sphere
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import Obstacle, SafetyFilter
-from dualbrain.safety.scene_feed import Mounted, Primitive, Refused, SceneFeed, Source, Updated
+from dualbrain.core.geometry.distance import distance
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
+from dualbrain.safety.integration.scene_fusion import Mounted, Primitive, Refused, SceneFeed, Source, Updated
 
 WIDTH, HEIGHT, FOCAL = 96, 72, 80.0
 """Pixels, and the focal length in pixels."""

@@ -17,9 +17,9 @@ from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import HalfSpace, Pose
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 ROBOT = "ur_description/urdf/ur5_robot.urdf"
 STATED = ("--acceleration", "8", "--period", "0.002", "--tool-speed", "0.25")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dualbrain.world.frozen import FILE, frozen_table
+from dualbrain.simulation.tasks.scene_hashes import FILE, frozen_table
 
 SEEDS = range(40_000, 40_050)
 """The first seeds of the range for tests."""

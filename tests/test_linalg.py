@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.linalg import matrix, quaternion, rotation_error
+from dualbrain.core.geometry.rotations import matrix, quaternion, rotation_error
 
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-2)
 angles = st.floats(1e-4, np.pi - 1e-4)

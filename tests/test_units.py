@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from dualbrain.core.units import require_si
 from dualbrain.errors import InvalidSetup
-from dualbrain.units import require_si
 
 
 @pytest.mark.parametrize("unit", ["1", "m", "m/s", "m/s**2", "N", "N*m", "N/m", "rad", "rad/s", "s", "kg", "1/s", "K"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain import weights
+from dualbrain.core import weights
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName, WrongHash
 
 PIECES = (b"first " * 1000, b"second " * 1000, b"third")

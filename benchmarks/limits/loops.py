@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body, load_body
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety import _kernel
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled import _kernel
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 
 Array = NDArray[np.float64]
 AT_ONCE = (8, 20, 47)

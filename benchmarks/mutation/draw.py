@@ -11,7 +11,7 @@ from pathlib import Path
 from mutation.sites import KINDS, Site
 from mutation.tokens import tokens
 
-SOURCES = ("kernel/src/*.c", "src/dualbrain/safety/native.py")
+SOURCES = ("kernel/src/*.c", "src/dualbrain/safety/cbf/kernel.py")
 
 
 @dataclass(frozen=True, slots=True)

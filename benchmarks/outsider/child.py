@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.records import Pose
+from dualbrain.core.geometry.shapes import Pose
 from outsider.environment import python_in
 from outsider.messages import Broken, receive, send
 

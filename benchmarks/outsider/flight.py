@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body, load_body
-from dualbrain.records import Pose
-from dualbrain.safety.filter import SafetyFilter, Status, ToolState
-from dualbrain.world.excitation import Log
-from dualbrain.world.identify import leaky_error
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.filter import SafetyFilter, Status, ToolState
+from dualbrain.simulation.identification.excitation import Log
+from dualbrain.simulation.identification.tracking_model import leaky_error
 from outsider.child import Opened, State, Suite
 from outsider.policies import PACES, TASKS, BangBang, Policy, Script
 from outsider.scene import Watch, standing

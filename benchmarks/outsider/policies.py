@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.linalg import matrix
-from dualbrain.records import Pose
-from dualbrain.safety.filter import ToolState
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.safety.cbf.filter import ToolState
 from outsider.reach import CAREFUL, HASTY, Pace, Reach
 
 Array = NDArray[np.float64]

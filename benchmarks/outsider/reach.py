@@ -8,8 +8,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.linalg import rotation_error
-from dualbrain.safety.filter import ToolState
+from dualbrain.core.geometry.rotations import rotation_error
+from dualbrain.safety.cbf.filter import ToolState
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dualbrain.records import Box, HalfSpace, Pose, SceneObject
-from dualbrain.safety.filter import Contact, Obstacle, SafetyFilter, ToolState
-from dualbrain.safety.held import cover
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.records import SceneObject
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, ToolState
+from dualbrain.safety.cbf.grasped_object import cover
 from outsider.child import State, Thing
 from outsider.policies import WayPoint
 

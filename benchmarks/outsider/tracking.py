@@ -17,12 +17,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body, Bound, Tracking, load_body
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.driven import driven
-from dualbrain.safety.filter import SafetyFilter, ToolState
-from dualbrain.world.excitation import ASSUMED_ERROR, ASSUMED_LAG, Log
-from dualbrain.world.identify import fit
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body, Bound, Tracking
+from dualbrain.safety.cbf.filter import SafetyFilter, ToolState
+from dualbrain.safety.integration.derating import driven
+from dualbrain.simulation.identification.excitation import ASSUMED_ERROR, ASSUMED_LAG, Log
+from dualbrain.simulation.identification.tracking_model import fit
 from outsider.child import Suite
 from outsider.environment import FOLDER, digest
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Box, Capsule, Pose, Sphere
-from dualbrain.safety import _kernel
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.compiled import _kernel
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
 from peers.problem import BOX, CAPSULE, Problem
 from peers.scenes import thin_body
 

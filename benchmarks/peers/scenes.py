@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from dualbrain.embodiment.body import Body, load_body
-from dualbrain.linalg import matrix
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
 from peers.adversary import adversary
 from peers.problem import BOX, CAPSULE, SPHERE, Problem, box, centres, distances, rows
 

@@ -17,23 +17,23 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from dualbrain.adaptation.bases import find_base
-from dualbrain.adaptation.clean_rules import CleanRules
+from dualbrain.adaptation.adapters.base_models import find_base
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.adaptation.adapters.stacking import Stack, stack_of
 from dualbrain.adaptation.compliance import gate_judge
 from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
-from dualbrain.adaptation.curate import curate
-from dualbrain.adaptation.dataset import Dataset, dataset_of
-from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
-from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.cli import folders
-from dualbrain.evaluation.prompted import with_example
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.planner.asking import short_messages
-from dualbrain.planner.prompt import Message, render
-from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.proposals import (
+from dualbrain.adaptation.curation.curate import curate
+from dualbrain.adaptation.curation.dataset import Dataset, dataset_of
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.adaptation.curation.selection import CleanRules
+from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
+from dualbrain.cli.common import paths
+from dualbrain.evaluation.planners.few_shot import with_example
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.planner.prompt.full_prompt import Message, render
+from dualbrain.planner.prompt.prompt_format import short_messages
+from dualbrain.runtime.data_collection.rollouts import (
     EPSILON,
     LEDGER,
     ROBOT,
@@ -44,8 +44,8 @@ from dualbrain.runtime.proposals import (
     proposed,
     request_of,
 )
-from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.world.catalogue import open_scene
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from proofs.closed_loop import fly
 from proofs.figures import table
 from proofs.language import judged, right
@@ -103,10 +103,10 @@ class AdaptCurve:
         """Fit if the arm is taught, ask, draw, carry out."""
         arm, seed, steps, folder = about["arm"], about["seed"], about["steps"], Path(about["folder"])
         row: Row = {"arm": arm, "seed": seed, "steps": steps}
-        stack = stack_of(packaged_folder("base-135m"), folders.cache())
+        stack = stack_of(packaged_folder("base-135m"), paths.cache())
         if steps:
             row |= fit(arm, seed, steps, folder)
-            stack = stack_of(place(arm, seed, steps, folder) / "adapter", folders.cache())
+            stack = stack_of(place(arm, seed, steps, folder) / "adapter", paths.cache())
         return row | asked(stack, ASKED_ONLY.get(arm, "short"))
 
     def brief(self, row: Row) -> str:
@@ -141,7 +141,7 @@ def place(arm: str, seed: int, steps: int, folder: Path) -> Path:
 
 def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
     """Fit the arm, or go on where its fit was; what it was taught and what that cost."""
-    from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
+    from dualbrain.adaptation.training.train import adapt  # noqa: PLC0415  (torch, only where something is fitted)
 
     clean, objective = TAUGHT[arm]
     config = AdaptConfig(
@@ -153,8 +153,8 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
     data = taught(day(folder, seed), clean=clean)
     began, busy = time.monotonic(), time.process_time()
     card = adapt(
-        data, config, find_base("base-135m", folders.cache()), gate_judge(vocabulary(ROBOT)),
-        place(arm, seed, steps, folder), cache=folders.cache(), clock=time.monotonic, tell=lambda progress: None,
+        data, config, find_base("base-135m", paths.cache()), gate_judge(vocabulary(ROBOT)),
+        place(arm, seed, steps, folder), cache=paths.cache(), clock=time.monotonic, tell=lambda progress: None,
     )  # fmt: skip
     cost = {"fit_s": time.monotonic() - began, "fit_cpu_s": time.process_time() - busy}
     return {"adapter": card.id, "samples": len(data.train), "dataset": data.card.hash, **cost}
@@ -163,14 +163,14 @@ def fit(arm: str, seed: int, steps: int, folder: Path) -> Row:
 def day(folder: Path, seed: int) -> Path:
     """The flights that all arms of a seed learn from, and what was rightly declined between them."""
     kept, wanted = folder / "proposals" / f"seed {seed}, {FLIGHTS} flights", proposals(seed, FLIGHTS)
-    deeds = flown(kept, FLIGHTS, wanted.__getitem__, cache=folders.cache())
+    deeds = flown(kept, FLIGHTS, wanted.__getitem__, cache=paths.cache())
     refused = [one for one in proposals(seed, REACHED, declines=True) if declined(one)]
     whole = kept.with_name(f"{kept.name}, {len(refused)} declines")
 
     def propose(turn: int) -> Sample:
         return refused[turn - FLIGHTS]
 
-    return flown(whole, len(refused), propose, cache=folders.cache(), first=FLIGHTS, start=deeds)
+    return flown(whole, len(refused), propose, cache=paths.cache(), first=FLIGHTS, start=deeds)
 
 
 def taught(folder: Path, *, clean: bool) -> Dataset:

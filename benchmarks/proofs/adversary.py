@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.embodiment.body import Body, load_body
-from dualbrain.safety._kernel import Judge
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.filter import SafetyFilter
 from proofs import hazards
 from proofs.adversary_tables import tables
 from proofs.judge import judge_of, thing_rows

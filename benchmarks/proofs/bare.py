@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.scenes import make_scene
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from proofs.closed_loop import ERRAND, errand, fly, kinds, outcome_words, row, succeeded, violation_words
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit

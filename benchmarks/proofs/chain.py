@@ -16,26 +16,28 @@ from typing import TYPE_CHECKING, TextIO
 
 import msgspec
 
-from dualbrain.adaptation.adapter_card import CARD, AdapterCard, proposed_by_others, read_adapter_card
-from dualbrain.adaptation.bases import find_base
-from dualbrain.adaptation.clean_rules import CleanRules
+from dualbrain.adaptation.adapters.base_models import find_base
+from dualbrain.adaptation.adapters.card import CARD, AdapterCard, proposed_by_others, read_adapter_card
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.adaptation.adapters.stacking import Stack, stack_of
 from dualbrain.adaptation.compliance import gate_judge
 from dualbrain.adaptation.config import AdaptConfig, FitDials, ObjectiveDials
-from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.dataset import CARD as DATASET_CARD
-from dualbrain.adaptation.dataset import Dataset, dataset_of, read_dataset, write_dataset
-from dualbrain.adaptation.lessons.score import score
-from dualbrain.adaptation.sample import Sample, answer
-from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.opening import author
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.cli import folders
+from dualbrain.adaptation.curation.curate import Curation, curate
+from dualbrain.adaptation.curation.dataset import CARD as DATASET_CARD
+from dualbrain.adaptation.curation.dataset import Dataset, dataset_of, read_dataset, write_dataset
+from dualbrain.adaptation.curation.sample import Sample, answer
+from dualbrain.adaptation.curation.selection import CleanRules
+from dualbrain.adaptation.serving.open_planner import author
+from dualbrain.adaptation.synthetic.scoring import score
+from dualbrain.cli.common import paths
 from dualbrain.contracts.contract import Contract
-from dualbrain.evaluation.ledgers import LARGEST_DELTA
-from dualbrain.memory.ledger import LedgerReader
+from dualbrain.core.storage.resumable_steps import alone, carry_on
+from dualbrain.core.text import storable
+from dualbrain.evaluation.runner.run_ledgers import LARGEST_DELTA
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.records import Episode
-from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.runtime.proposals import (
+from dualbrain.runtime.data_collection.rollouts import (
     EPSILON,
     LEDGER,
     ROBOT,
@@ -46,17 +48,15 @@ from dualbrain.runtime.proposals import (
     proposals,
     turn_of,
 )
-from dualbrain.runtime.simulated import own_goals
-from dualbrain.runtime.steps import alone, carry_on
-from dualbrain.runtime.storable import storable
-from dualbrain.runtime.thinking import PLANNING_TIME
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons, setting_of
+from dualbrain.runtime.planning_time import PLANNING_TIME
+from dualbrain.simulation.world import own_goals
 from proofs.language import judged, right
 from proofs.proof import Row
 from proofs.speaker import Chance, Speaker
 
 if TYPE_CHECKING:
-    from dualbrain.adaptation.fitting.loop import Progress
+    from dualbrain.adaptation.training.trainer import Progress
 
 BASE = "base-135m"
 PLACES, ASKED = 120, 120
@@ -93,7 +93,7 @@ class Chain:
     def planner(self, number: int) -> Stack:
         """Who plans in round `number`: the base, or the base with the adapter that all rounds before it led to."""
         folder = self.adapter(number) if number else packaged_folder(BASE)
-        return stack_of(folder, folders.cache())
+        return stack_of(folder, paths.cache())
 
     def adapter(self, number: int) -> Path:
         """What the rounds before `number` taught, always fitted from the base; the folder with its card."""
@@ -127,7 +127,7 @@ class Chain:
             return said_by(question, storable(text), name)
 
         folder = self.folder / f"proposed in round {last}"
-        return flown(folder, ASKED, propose, first=first, start=start, cache=folders.cache())
+        return flown(folder, ASKED, propose, first=first, start=start, cache=paths.cache())
 
     def impossible(self, number: int) -> list[str]:
         """The memories of what was asked for before round `number` and cannot be done: declines may teach there."""
@@ -214,14 +214,14 @@ def chosen(ledger: Path, declines: Sequence[str], rules: CleanRules = CLEAN, own
 
 def fit(data: Dataset, seed: int, folder: Path, objective: ObjectiveDials, own: Sequence[str] = ()) -> AdapterCard:
     """Fit an adapter of the base in `folder`, or go on with the fit there; `own` are its adapters of before."""
-    from dualbrain.adaptation.fitting.night import adapt  # noqa: PLC0415  (torch, only where something is fitted)
+    from dualbrain.adaptation.training.train import adapt  # noqa: PLC0415  (torch, only where something is fitted)
 
     fits = msgspec.structs.replace(DIALS.fit, seed=seed)
     config = msgspec.structs.replace(DIALS, objective=objective, fit=fits)
     with (folder / SECONDS).open("a", buffering=1) as told:
         return adapt(
-            data, config, find_base(BASE, folders.cache()), gate_judge(vocabulary(ROBOT)), folder,
-            cache=folders.cache(), clock=time.monotonic, tell=step_times(told, time.monotonic), own=own,
+            data, config, find_base(BASE, paths.cache()), gate_judge(vocabulary(ROBOT)), folder,
+            cache=paths.cache(), clock=time.monotonic, tell=step_times(told, time.monotonic), own=own,
         )  # fmt: skip
 
 
@@ -262,7 +262,7 @@ def episode(turn: int, text: str, name: str) -> Row:
         ended = unmoved("declined")
     else:
         with tempfile.TemporaryDirectory(prefix="dualbrain-rounds-") as folder:
-            flight = carried_out(one, Path(folder) / LEDGER, turn, cache=folders.cache())
+            flight = carried_out(one, Path(folder) / LEDGER, turn, cache=paths.cache())
         ended = became(flight)
     moved = ended["completion_s"] is not None
     return {**row, **ended, "success": not moved if row["to_decline"] else row["right"] and ended["done"]}

@@ -11,24 +11,26 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.embodiment.body import Body, load_body
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig, Moment
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.vocabulary import grants, scene_names, vocabulary
 from dualbrain.records import Judgement, Outcome
-from dualbrain.runtime.control_tick import LayerConfig, Moment
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.rules import scene_rules
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names, vocabulary
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.arrival import At
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.task import Goal
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.placement import Goal
+from dualbrain.simulation.world import SimulatedWorld
 from proofs.proof import Row
 
 ERRAND = Goal("red_cube", "blue_bowl")

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.runtime.control_tick import Moment
+from dualbrain.control.control_loop import Moment
 from proofs.closed_loop import Flight, fly, kinds, outcome_words, row, succeeded, violation_words
 from proofs.figures import share, table
 from proofs.journal import Journal

@@ -32,12 +32,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.runtime.faults import FULL_SPEED, MOMENTS, PHASES
-from dualbrain.runtime.gatekeeper.door import FRAMES_A_SECOND, FRAMES_A_TICK
-from dualbrain.runtime.gatekeeper.keeper import BEAT_EVERY, SILENCE
-from dualbrain.runtime.gatekeeper.robot_process import BEHIND, WATCHDOG
-from dualbrain.safety.order import Rung
-from dualbrain.safety.timing import SIMULATED
+from dualbrain.control.gatekeeper.gatekeeper import BEAT_EVERY, SILENCE
+from dualbrain.control.gatekeeper.protocol.server import FRAMES_A_SECOND, FRAMES_A_TICK
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import BEHIND, WATCHDOG
+from dualbrain.evaluation.fault_injection.faults import FULL_SPEED, MOMENTS, PHASES
+from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.safety.supervisor.timing import SIMULATED
 from proofs.cortex_stage import Stage, gatekeeper, until
 from proofs.figures import share, table
 from proofs.kills import examine

@@ -13,14 +13,15 @@ from threading import Thread
 
 import msgspec
 
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.protocol.messages import Glimpse, Message, News, Refused
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
-from dualbrain.runtime.gatekeeper.messages import Glimpse, Message, News, Refused
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.runtime.vocabulary import PLANNER
-from dualbrain.safety.order import Rung
-from dualbrain.world.catalogue import open_scene
+from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from proofs.proof import Row
 
 CHILD = Path(__file__).with_name("doomed_cortex.py")

@@ -19,11 +19,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 from tests.runtime.gatekeeper.cortex import contract, flood, rubbish  # noqa: E402
 
-from dualbrain.memory.hashing import HashingEncoder  # noqa: E402
-from dualbrain.memory.ledger import Ledger  # noqa: E402
-from dualbrain.memory.store import Memory  # noqa: E402
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink  # noqa: E402
-from dualbrain.runtime.gatekeeper.seals import open_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys  # noqa: E402
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink  # noqa: E402
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder  # noqa: E402
+from dualbrain.memory.ledger.ledger import Ledger  # noqa: E402
+from dualbrain.memory.memory import Memory  # noqa: E402
 from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, made_up  # noqa: E402
 
 EVERY = 0.03

@@ -6,7 +6,7 @@ from typing import Any
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.posture import Posture, PostureLimits
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
 from dualbrain.records import Attempt, Episode, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
 
 ROBOT, REGISTRY = "arm", "aaaa1111"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import product
 from typing import Any
 
-from dualbrain.world.families import FAMILIES as TASKS
-from dualbrain.world.rooms import make_room
-from dualbrain.world.scenes import make_scene
+from dualbrain.simulation.scenes.generators.rooms import make_room
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.families import FAMILIES as TASKS
 from proofs.closed_loop import errand, fly, outcome_words, row
 from proofs.proof import Options, Row, Unit
 from proofs.sweep import OTHER_NOISE, learnable_lines

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.runtime.fault_trial import inject
-from dualbrain.runtime.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES, Fault
+from dualbrain.evaluation.fault_injection.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES, Fault
+from dualbrain.evaluation.fault_injection.trial import inject
 from proofs.faults_tables import summary
 from proofs.proof import Options, Row, Unit
 

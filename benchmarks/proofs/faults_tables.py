@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES
-from dualbrain.safety.order import Rung
+from dualbrain.evaluation.fault_injection.faults import KINDS, MOMENTS, ON_WHEELS, SOURCES
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.supervisor.actions import Rung
 from proofs.figures import table
 from proofs.proof import Row
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dualbrain.runtime.gatekeeper.frames import Broken, Decoder, encode
-from dualbrain.runtime.gatekeeper.messages import Hello, encode_body, kind_of, read
+from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder, encode
+from dualbrain.control.gatekeeper.protocol.messages import Hello, encode_body, kind_of, read
 from proofs.fuzzer import Fuzzer
 
 FRAMES = 200

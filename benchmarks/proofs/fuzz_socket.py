@@ -19,22 +19,23 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.gate.authorization import PLANNER
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.gatekeeper.capability import Capability, full
-from dualbrain.runtime.gatekeeper.clerk import Case, Clerk
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-from dualbrain.runtime.gatekeeper.frames import Broken, Decoder
-from dualbrain.runtime.gatekeeper.messages import Propose, Refused, read
-from dualbrain.runtime.gatekeeper.metronome import Punctuality
-from dualbrain.runtime.gatekeeper.seals import genuine, open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.runtime.vocabulary import PLANNER
-from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.catalogue import open_scene
+from dualbrain.control.gatekeeper.capability import Capability, full
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.gate_worker import Case, Clerk
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.protocol.authentication import genuine, open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
+from dualbrain.control.gatekeeper.protocol.frames import Broken, Decoder
+from dualbrain.control.gatekeeper.protocol.messages import Propose, Refused, read
+from dualbrain.control.gatekeeper.timing.tick_timing import Punctuality
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.skills.registry import registry_of
 from proofs.closed_loop import errand
 from proofs.figures import table
 from proofs.fuzzer import Fuzzer

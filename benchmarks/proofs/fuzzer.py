@@ -7,8 +7,9 @@ from random import Random
 
 import msgspec
 
-from dualbrain.runtime.gatekeeper.frames import encode
-from dualbrain.runtime.gatekeeper.messages import (
+from dualbrain.control.gatekeeper.protocol.authentication import seal
+from dualbrain.control.gatekeeper.protocol.frames import encode
+from dualbrain.control.gatekeeper.protocol.messages import (
     Heartbeat,
     Hello,
     Look,
@@ -18,8 +19,7 @@ from dualbrain.runtime.gatekeeper.messages import (
     encode_body,
     kind_of,
 )
-from dualbrain.runtime.gatekeeper.seals import seal
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.grounding.vocabulary import vocabulary
 from proofs.closed_loop import errand
 
 TOKEN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')

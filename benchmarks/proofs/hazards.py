@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere, Vector
-from dualbrain.safety._kernel import Judge
-from dualbrain.safety.obstacles import Obstacle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere, Vector
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.obstacles import Obstacle
 from proofs.judge import verdicts
 
 Array = NDArray[np.float64]

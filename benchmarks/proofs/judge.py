@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.records import Box, Capsule, HalfSpace, Sphere
-from dualbrain.safety._kernel import Judge
-from dualbrain.safety.obstacles import Obstacle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 COLUMNS = 24

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.memory import store
-from dualbrain.memory.embedding import JointEmbedding
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.store import Memory
-from dualbrain.memory.verify import verify
+from dualbrain.memory import memory as store
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.joint_embedding import JointEmbedding
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.maintenance.verification import verify
+from dualbrain.memory.memory import Memory
 from proofs.episodes import CONFIG, LIMITS, REGISTRY, REST, ROBOT, START, made_up
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit

@@ -15,16 +15,16 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.adaptation.lessons.lesson import free_parameters
-from dualbrain.adaptation.lessons.score import SAID, Score, score
-from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
-from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.cli import folders
+from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.adapters.stacking import Stack, stack_of
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.adaptation.synthetic.example import free_parameters
+from dualbrain.adaptation.synthetic.scoring import SAID, Score, score
+from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY
+from dualbrain.cli.common import paths
 from dualbrain.contracts.contract import Action, Contract
-from dualbrain.runtime.classroom import lessons, setting_of
-from dualbrain.weights import find_file, locate
+from dualbrain.core.weights import find_file, locate
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons, setting_of
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
 from proofs.speaker import Speaker
@@ -123,8 +123,8 @@ def questions() -> tuple[Sample, ...]:
 def speaker(name: str) -> Speaker:
     """The model called `name` with what it wears, opened once a process."""
     if name in packaged_names():
-        return Speaker(stack_of(packaged_folder(name), folders.cache()))
-    return Speaker(Stack(find_file(name).name, locate(name, folders.cache()), ()))
+        return Speaker(stack_of(packaged_folder(name), paths.cache()))
+    return Speaker(Stack(find_file(name).name, locate(name, paths.cache()), ()))
 
 
 def judged(question: Sample, text: str) -> dict[str, Any]:

@@ -19,16 +19,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.cli import folders
-from dualbrain.memory.derive import derive
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.memory.plasticity import EPSILON
+from dualbrain.cli.common import paths
+from dualbrain.core.storage.resumable_steps import carry_on
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.state.derivation import derive
 from dualbrain.planner.protocol import Planner
+from dualbrain.planner.scripted import GivenContract
 from dualbrain.records import Episode
-from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
-from dualbrain.runtime.steps import carry_on
-from dualbrain.runtime.vocabulary import vocabulary
 from proofs.closed_loop import errand
 from proofs.confusion import confusion_lines
 from proofs.figures import table
@@ -207,7 +207,7 @@ def _play(
     with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
         seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
         config = RunConfig(
-            WORDS, Path(folder) / name, ledger, folders.cache(), scene=about["scene"], goal=GOAL, visuals=False,
+            WORDS, Path(folder) / name, ledger, paths.cache(), scene=about["scene"], goal=GOAL, visuals=False,
             seed=seed, static=static, epsilon=epsilon,
         )  # fmt: skip
         dates = count(BEGAN + turn * BETWEEN_S, 1.0)

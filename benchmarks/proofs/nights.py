@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.dataset import read_dataset
-from dualbrain.cli.adapters import registry_of_adapters
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.curation.dataset import read_dataset
+from dualbrain.cli.adapters.registry import registry_of_adapters
 from proofs.chain import SECONDS, WITHOUT, Chain, seconds
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit

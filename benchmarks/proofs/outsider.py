@@ -13,7 +13,7 @@ from outsider.environment import make
 from outsider.flight import HOWS, body_of, fly
 from outsider.tracking import ACCELERATION, SPEED
 
-from dualbrain.embodiment.body import Body
+from dualbrain.robots.model import Body
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
 

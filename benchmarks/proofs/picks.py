@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.linalg import matrix
-from dualbrain.records import Box
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec, Thing
-from dualbrain.world.scenes import footprint, make_scene
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import footprint, make_scene
+from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
 from proofs.closed_loop import GRASP, fly, kinds, outcome_words, row
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.embodiment.body import Body, load_body
-from dualbrain.safety._kernel import Judge
-from dualbrain.safety.filter import BarrierRow, SafetyFilter
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.world.drive import KINDS, DriveKind
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec, Thing
-from dualbrain.world.stepped_plant import SteppedPlant
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.filter import BarrierRow, SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.simulation.plant.joint_drive import KINDS, DriveKind
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.stepped_plant import SteppedPlant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
 from proofs import hazards
 from proofs.figures import table
 from proofs.judge import judge_of, verdicts

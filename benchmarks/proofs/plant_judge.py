@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_builder import PREFIX
+from dualbrain.robots.model import Body
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.scene_builder import PREFIX
 
 Array = NDArray[np.float64]
 FAR = 0.08

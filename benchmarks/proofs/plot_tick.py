@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dualbrain.runtime.gatekeeper.laps import PARTS
-from dualbrain.runtime.gatekeeper.metronome import BIN
-from dualbrain.safety.timing import SIMULATED
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
+from dualbrain.control.gatekeeper.timing.tick_timing import BIN
+from dualbrain.safety.supervisor.timing import SIMULATED
 from proofs.proof import Row
 
 BLUE, ORANGE = "#2a6fb0", "#c2703d"

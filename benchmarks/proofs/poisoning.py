@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.memory.audit import audit
-from dualbrain.memory.curation import quarantine
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.store import Memory
-from dualbrain.memory.trust import Trust
-from dualbrain.planner.untrusted import block
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.maintenance.audit import audit
+from dualbrain.memory.maintenance.edits import quarantine
+from dualbrain.memory.memory import Memory
+from dualbrain.planner.prompt.sanitize import block
 from dualbrain.records import Recall
 from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
 from proofs.figures import table

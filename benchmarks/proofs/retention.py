@@ -11,17 +11,17 @@ import re
 from pathlib import Path
 from typing import Any
 
-from dualbrain.adaptation.adapter_card import CARD
-from dualbrain.adaptation.serving.layers import Stack, stack_of
-from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
-from dualbrain.adaptation.serving.opening import N_CTX, wear
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.adaptation.serving.speaking import Said, say
-from dualbrain.cli import folders
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.chat import Answer
-from dualbrain.planner.llama import LlamaConfig
-from dualbrain.weights import find_file, locate
+from dualbrain.adaptation.adapters.card import CARD
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.adaptation.adapters.stacking import Stack, stack_of
+from dualbrain.adaptation.serving.open_planner import N_CTX, wear
+from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
+from dualbrain.adaptation.serving.raw_completion import Said, say
+from dualbrain.cli.common import paths
+from dualbrain.core.weights import find_file, locate
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.llama_cpp import LlamaConfig
+from dualbrain.planner.prompt.prompt_format import FREE
 from proofs import adapt_curve
 from proofs.figures import share, table
 from proofs.nights import WHOLE, fitted
@@ -69,7 +69,7 @@ class Retention:
     def run(self, about: dict[str, Any]) -> Row:
         """Fit if `adapt_curve` has not yet, then ask."""
         stack = taught(about["arm"], about["seed"], Path(about["folder"]))
-        planner = wear(stack, folders.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
+        planner = wear(stack, paths.cache(), LlamaConfig(threads=1, n_ctx=N_CTX), asking=FREE)
         try:
             measured = perplexity(planner, retention_text())
             turns = [[{"role": "user", "content": question}] for question, _ in QUESTIONS]
@@ -112,8 +112,8 @@ def known(text: str, words: str) -> bool:
 def taught(arm: str, seed: int, folder: Path) -> Stack:
     """The bare model, the base, or the base after a night; what is not fitted yet in `folder` is."""
     if arm == BARE:
-        return Stack(find_file(BARE).name, locate(BARE, folders.cache()), ())
-    return stack_of(_fitted(arm, seed, folder), folders.cache())
+        return Stack(find_file(BARE).name, locate(BARE, paths.cache()), ())
+    return stack_of(_fitted(arm, seed, folder), paths.cache())
 
 
 def _fitted(arm: str, seed: int, folder: Path) -> Path:

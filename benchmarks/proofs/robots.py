@@ -10,17 +10,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.grounding.vocabulary import vocabulary
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.registry import open_planner
 from dualbrain.records import Scene
-from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.task import goal_of
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
+from dualbrain.simulation.tasks.placement import goal_of
 from proofs.closed_loop import FORBIDDEN, fly, judgement_figures, kinds, outcome_words, row, succeeded, violation_words
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit
@@ -133,7 +133,7 @@ def _planned(spec: SceneSpec, about: dict[str, Any]) -> Row:
     """The whole loop as `dualbrain run` has it, with a memory of its own that is empty; judged by the instruction."""
     import time  # noqa: PLC0415
 
-    from dualbrain.cli.folders import cache  # noqa: PLC0415
+    from dualbrain.cli.common.paths import cache  # noqa: PLC0415
     from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times  # noqa: PLC0415
     from proofs.closed_loop import outcome_figures  # noqa: PLC0415
 
@@ -163,7 +163,7 @@ _PLANNERS: dict[str, Planner] = {}
 def _planner(name: str) -> Planner:
     """The planner, opened once a process."""
     if name not in _PLANNERS:
-        from dualbrain.cli.folders import cache  # noqa: PLC0415
+        from dualbrain.cli.common.paths import cache  # noqa: PLC0415
 
         prefixes = cache() / "prefixes"
         prefixes.mkdir(parents=True, exist_ok=True)

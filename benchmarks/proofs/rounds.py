@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dualbrain.evaluation.statistics import Clusters, Estimate, compare, difference, estimate
+from dualbrain.evaluation.analysis.statistics import Clusters, Estimate, compare, difference, estimate
 from proofs.chain import ASKED, BASE, PLACES, TEMPERATURE, Chain
 from proofs.figures import share, table
 from proofs.proof import Options, Row, Unit

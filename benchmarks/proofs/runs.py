@@ -11,14 +11,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from dualbrain.adaptation.serving.opening import open_planner
-from dualbrain.cli import folders
+from dualbrain.adaptation.serving.open_planner import open_planner
+from dualbrain.cli.common import paths
 from dualbrain.planner.protocol import Planner
 from dualbrain.planner.request import PlanRequest
+from dualbrain.planner.scripted import GivenContract
 from dualbrain.records import Episode, Proposal
-from dualbrain.runtime.given import GivenContract
 from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
-from dualbrain.world.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from proofs.closed_loop import FORBIDDEN, judgement_figures, kinds, outcome_figures, outcome_words, violation_words
 from proofs.confusion import confusion_lines
 from proofs.figures import share, table
@@ -59,10 +59,10 @@ def planner_of(name: str) -> Planner:
     """The planner, opened once a process: a name or URL, or a contract file that answers everything."""
     if name.endswith(".json"):
         return GivenContract(name, Path(name).read_bytes())
-    prefixes = folders.cache() / "prefixes"
+    prefixes = paths.cache() / "prefixes"
     prefixes.mkdir(parents=True, exist_ok=True)
-    key, adapters = os.environ.get("OPENAI_API_KEY", ""), folders.home() / "adapters"
-    return open_planner(name, folders.cache(), adapters=adapters, key=key, prefixes=prefixes)
+    key, adapters = os.environ.get("OPENAI_API_KEY", ""), paths.home() / "adapters"
+    return open_planner(name, paths.cache(), adapters=adapters, key=key, prefixes=prefixes)
 
 
 def episode(scene: str, instruction: str, planner: Planner, *, guard: bool) -> Episode:
@@ -70,7 +70,7 @@ def episode(scene: str, instruction: str, planner: Planner, *, guard: bool) -> E
     with tempfile.TemporaryDirectory(prefix="dualbrain-prove-") as folder:
         out = Path(folder) / "run"
         config = RunConfig(
-            instruction, out, Path(folder) / "ledger.sqlite", folders.cache(), scene=scene, guard=guard,
+            instruction, out, Path(folder) / "ledger.sqlite", paths.cache(), scene=scene, guard=guard,
             goal=GOAL, visuals=False,
         )  # fmt: skip
         times = Times(time.monotonic, datetime.now(UTC).isoformat(timespec="seconds"), time.time)

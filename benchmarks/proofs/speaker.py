@@ -1,7 +1,7 @@
 """A model with its adapters that answers freely, many questions side by side: in torch, which says what llama.cpp says.
 
 `benchmarks/serving_equality.py` has the comparison. Nothing binds an answer; the grammar of the question's scene only
-foresees it (`adaptation/serving/ahead.py`).
+foresees it (`adaptation/serving/speculative_decoding.py`).
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving.layers import Stack
-from dualbrain.cli import folders
-from dualbrain.planner.grammar import contract_grammar
-from dualbrain.runtime.classroom import setting_of
+from dualbrain.adaptation.adapters.stacking import Stack
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.cli.common import paths
+from dualbrain.contracts.schema import decoding_schema
+from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
+from dualbrain.runtime.data_collection.synthetic_scenes import setting_of
 
 LONGEST = 400
 """Tokens of an answer: three things put away take some 330."""
@@ -45,9 +46,9 @@ class Speaker:
         """The free answers to `questions`, each asked by its own prompt or its `turns`; greedy unless by `chance`."""
         import torch  # noqa: PLC0415  (only where it is asked)
 
-        from dualbrain.adaptation.fitting.batch import prompt_ids  # noqa: PLC0415
-        from dualbrain.adaptation.serving.ahead import Reply, speak  # noqa: PLC0415
-        from dualbrain.adaptation.serving.bound_decoding import Binding  # noqa: PLC0415
+        from dualbrain.adaptation.serving.constrained_decoding import Binding  # noqa: PLC0415
+        from dualbrain.adaptation.serving.speculative_decoding import Reply, speak  # noqa: PLC0415
+        from dualbrain.adaptation.training.model.batching import prompt_ids  # noqa: PLC0415
 
         model, tokenizer, vocabulary = self._loaded
         torch.set_num_threads(self._threads)
@@ -70,14 +71,14 @@ class Speaker:
 
     @cached_property
     def _loaded(self) -> tuple[Any, Any, Any]:
-        from dualbrain.adaptation.serving.bound_decoding import vocabulary_of  # noqa: PLC0415
-        from dualbrain.adaptation.serving.local_transformers import dressed  # noqa: PLC0415
+        from dualbrain.adaptation.serving.constrained_decoding import vocabulary_of  # noqa: PLC0415
+        from dualbrain.adaptation.serving.transformers_planner import dressed  # noqa: PLC0415
 
-        model, tokenizer = dressed(self._stack, folders.cache())
+        model, tokenizer = dressed(self._stack, paths.cache())
         return model, tokenizer, vocabulary_of(tokenizer)
 
 
 def grammar_of(question: Sample) -> str:
     """What a contract looks like in the scene of `question`."""
     setting = setting_of(question.scene)
-    return contract_grammar(setting.registry.decoding_schema(setting.names))
+    return contract_grammar(decoding_schema(setting.registry, setting.names))

@@ -12,15 +12,15 @@ from functools import cache
 from statistics import median
 from typing import Any
 
-from dualbrain.adaptation.sample import Sample
-from dualbrain.adaptation.serving.packaged import packaged_names
-from dualbrain.cli import folders
-from dualbrain.evaluation.planners import Sources
-from dualbrain.evaluation.statistics import compare, difference
+from dualbrain.adaptation.adapters.packaged import packaged_names
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.cli.common import paths
+from dualbrain.evaluation.analysis.statistics import compare, difference
+from dualbrain.evaluation.planners.factory import Sources
 from dualbrain.planner.protocol import Planner, answered
 from dualbrain.planner.registry import planner_names
-from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.proposals import EPSILON, ROBOT, request_of
+from dualbrain.runtime.data_collection.rollouts import EPSILON, ROBOT, request_of
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
 from proofs.adapt_curve import flight
 from proofs.figures import share, table
 from proofs.language import judged, right
@@ -124,7 +124,7 @@ def questions() -> tuple[Sample, ...]:
 @cache
 def planner(name: str) -> Planner:
     """The planner called `name` as it serves, opened once a process."""
-    return Sources(folders.cache(), folders.home() / "adapters").open(name, ROBOT)
+    return Sources(paths.cache(), paths.home() / "adapters").open(name, ROBOT)
 
 
 def score_of(name: str, question: Sample) -> dict[str, Any]:

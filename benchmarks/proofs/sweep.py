@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
-from dualbrain.world.scenes import make_scene
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from proofs.closed_loop import errand, fly, kinds, outcome_words, row, violation_words
 from proofs.confusion import confusion_lines
 from proofs.figures import share, table

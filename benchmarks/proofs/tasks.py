@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from dualbrain.grounding.scene_summary import summarise
 from dualbrain.records import Scene
-from dualbrain.runtime.summary import summarise
-from dualbrain.skills.geometry import levelness, width
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.scenes import FAMILIES, make_scene
-from dualbrain.world.task import Goal
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import FAMILIES, make_scene
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
+from dualbrain.simulation.tasks.placement import Goal
+from dualbrain.skills.kinematics.object_geometry import levelness, width
 from proofs.closed_loop import panda
 
 SEEDS = range(100, 200)

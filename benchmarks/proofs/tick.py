@@ -11,14 +11,15 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.runtime.gatekeeper.histogram import BINS
-from dualbrain.runtime.gatekeeper.laps import PARTS
-from dualbrain.runtime.gatekeeper.metronome import BIN, Punctuality
-from dualbrain.runtime.gatekeeper.robot_process import Report
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.runtime.recording import recording_state
-from dualbrain.safety.timing import SIMULATED
-from dualbrain.world.catalogue import open_scene
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import Report
+from dualbrain.control.gatekeeper.timing.histogram import BINS
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
+from dualbrain.control.gatekeeper.timing.tick_timing import BIN, Punctuality
+from dualbrain.control.recording.channels import recording_state
+from dualbrain.safety.supervisor.timing import SIMULATED
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from proofs.closed_loop import violation_words
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit

@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.safety.config import FilterConfig
-from dualbrain.safety.obstacles import Obstacle
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.obstacles import Obstacle
 
 PERIOD, ALPHA = 1e-3, 7.5 / 2.175
 PLACE_NOISE, SPEED_NOISE = 0.005, 0.02

@@ -23,21 +23,22 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from dualbrain.cli.folders import cache
-from dualbrain.cli.lookout import Lookout
-from dualbrain.contracts.schema import short_form
+from dualbrain.cli.common.paths import cache
+from dualbrain.cli.run.live_feed import Lookout
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.schema import decoding_schema, short_form
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
+from dualbrain.control.gatekeeper.protocol.messages import Glimpse, Message, News, Refused
+from dualbrain.control.recording.trace import Event
+from dualbrain.grounding.scene_summary import summarise
+from dualbrain.grounding.vocabulary import scene_names
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Recall
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-from dualbrain.runtime.gatekeeper.messages import Glimpse, Message, News, Refused
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan
 from dualbrain.runtime.live_session import LiveSession
 from dualbrain.runtime.session import RunConfig, Times
-from dualbrain.runtime.summary import summarise
-from dualbrain.runtime.trace import Event
-from dualbrain.runtime.vocabulary import PLANNER, scene_names
-from dualbrain.skills.vocabulary import registry_of
+from dualbrain.skills.registry import registry_of
 from proofs.closed_loop import errand
 
 INSTRUCTIONS = ("put the red cube on the left of the table", "put the red cube on the right of the table")
@@ -123,7 +124,7 @@ def _decide(session: LiveSession, link: GatekeeperLink, decided: Queue[bytes], d
         names = scene_names(scene)
         request = PlanRequest(
             instruction, summarise(scene, None), Recall(), session.body.name, registry.hash,
-            short_form(registry, names), registry.decoding_schema(names), contract_id=f"c-{count % 10_000:04d}",
+            short_form(registry, names), decoding_schema(registry, names), contract_id=f"c-{count % 10_000:04d}",
         )  # fmt: skip
         began = time.monotonic()
         proposal = session.planner.propose(request)

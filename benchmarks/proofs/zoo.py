@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dualbrain.embodiment.description.build import Made, Wish, build_arm
-from dualbrain.embodiment.description.build_base import build_base
-from dualbrain.embodiment.description.tree import Tree
-from dualbrain.embodiment.description.urdf import read_urdf
-from dualbrain.safety.filter import Status
+from dualbrain.robots.importer.build_arm import Made, Wish, build_arm
+from dualbrain.robots.importer.build_mobile_base import build_base
+from dualbrain.robots.importer.kinematic_tree import Tree
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.safety.cbf.filter import Status
 from proofs.figures import table
 from proofs.proof import Options, Row, Unit
 from proofs.zoo_adversary import fight

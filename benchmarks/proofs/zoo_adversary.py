@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.differential_base import drive
-from dualbrain.embodiment.self_pairs import chain_frames, placed_centres
-from dualbrain.embodiment.solids import distance
-from dualbrain.records import Box, Capsule, Pose, Sphere
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import Obstacle, SafetyFilter, Status
+from dualbrain.core.geometry.distance import distance
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose, Sphere
+from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres
+from dualbrain.robots.differential_drive import drive
+from dualbrain.robots.model import Body
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
 
 Array = NDArray[np.float64]
 HOLDS = (20, 100, 300)

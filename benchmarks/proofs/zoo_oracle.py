@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.description.chain import Chain, find_chain
-from dualbrain.embodiment.description.tree import Tree
-from dualbrain.safety.filter import FilterConfig, SafetyFilter
+from dualbrain.robots.importer.kinematic_chain import Chain, find_chain
+from dualbrain.robots.importer.kinematic_tree import Tree
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
 from proofs.zoo_robots import Robot, pinocchio, robots_folder
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from dualbrain.embodiment.description.policy import Given, Policy
+from dualbrain.robots.importer.required_limits import Given, Policy
 
 PACKAGE = "example-robot-data"
 

@@ -6,9 +6,9 @@ import matplotlib as mpl
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.meshes import collision_mesh
-from dualbrain.embodiment.self_pairs import chain_frames, placed_centres
+from dualbrain.robots.assets.meshes import collision_mesh
+from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres
+from dualbrain.robots.loader import load_body
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend is chosen first

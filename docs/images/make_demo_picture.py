@@ -12,17 +12,17 @@ import numpy as np
 from matplotlib import image
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.control_tick import LayerConfig, Moment
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.pictures import Camera
-from dualbrain.world.plant import Plant
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig, Moment
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.rendering import Camera
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.world import SimulatedWorld
 
 GRASP = {
     "object": "red_cube", "speed": 0.25, "clearance": 0.12, "finger_axis": "along", "opening": 0.07,

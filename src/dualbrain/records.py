@@ -11,68 +11,14 @@ from typing import Any, Literal
 import msgspec
 
 from dualbrain.contracts.verdict import Verdict
+from dualbrain.core.geometry.shapes import Pose, Shape, Vector
 from dualbrain.errors import UnknownName
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
 STILL: Vector = (0.0, 0.0, 0.0)
 
 
 class Record(msgspec.Struct, frozen=True):
     """Root of the frozen records."""
-
-
-# --- shapes, each centred on its pose, long axis along local z ----------------------------------------------------
-
-
-class Sphere(Record, frozen=True, tag_field="shape", tag="sphere"):
-    """A ball of `radius` [m]."""
-
-    radius: float
-
-
-class Capsule(Record, frozen=True, tag_field="shape", tag="capsule"):
-    """All points within `radius` [m] of a segment of half length `half_length` [m] along local z."""
-
-    radius: float
-    half_length: float
-
-
-class Cylinder(Record, frozen=True, tag_field="shape", tag="cylinder"):
-    """An upright cylinder of `radius` and `half_height` [m] along local z."""
-
-    radius: float
-    half_height: float
-
-
-class Box(Record, frozen=True, tag_field="shape", tag="box"):
-    """A box with `half_extents` [m] along its local axes."""
-
-    half_extents: Vector
-
-
-class HalfSpace(Record, frozen=True, tag_field="shape", tag="half_space"):
-    """Everything below the plane through the pose with normal local z (a table top, a wall)."""
-
-
-class Bowl(Record, frozen=True, tag_field="shape", tag="bowl"):
-    """An open round container: outer `radius`, rim `height` above its pose (its bottom), `wall` thickness [m]."""
-
-    radius: float
-    height: float
-    wall: float
-
-
-Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | Bowl
-
-
-class Pose(Record, frozen=True):
-    """Where a thing is: `position` [m] and `quaternion` (w, x, y, z)."""
-
-    position: Vector
-    quaternion: Quaternion = UPRIGHT
 
 
 # --- the scene ----------------------------------------------------------------------------------------------------

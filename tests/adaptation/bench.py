@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.dataset import Dataset, DatasetCard
-from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, STATES, Fit
-from dualbrain.adaptation.fitting.team import ALONE
-from dualbrain.adaptation.sample import Sample, answer
+from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard
+from dualbrain.adaptation.curation.sample import Sample, answer
+from dualbrain.adaptation.training.process_group import ALONE
+from dualbrain.adaptation.training.trainer import BEST, CHECKPOINT, STATES, Fit
 from tests.adaptation.tiny import DIALS, learner
 
 ANSWERS = ("grasp cup", "place", "push tin", "go home")

@@ -4,15 +4,16 @@ import msgspec
 
 from dualbrain.contracts.contract import Contract
 from dualbrain.contracts.verdict import Accepted
+from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.grounding.vocabulary import vocabulary
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.embedding import EmbeddingConfig
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.ledger import Ledger, LedgerReader
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.posture import Posture, PostureLimits
-from dualbrain.memory.store import Memory
-from dualbrain.records import Attempt, Box, Episode, Outcome, Place, Pose, Proposal, Recall, Scene, SceneObject
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.records import Attempt, Episode, Outcome, Place, Proposal, Recall, Scene, SceneObject
 
 REGISTRY = vocabulary("panda")
 NOW = 1_800_000_000.0

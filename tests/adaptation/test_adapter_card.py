@@ -2,7 +2,7 @@
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import (
+from dualbrain.adaptation.adapters.card import (
     WEIGHTS,
     AdapterCard,
     proposed_by_others,

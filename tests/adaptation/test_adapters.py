@@ -6,7 +6,7 @@ import resource
 import pytest
 from msgspec.structs import replace
 
-from dualbrain.adaptation.adapter_card import (
+from dualbrain.adaptation.adapters.card import (
     BESIDE,
     CONFIG,
     WEIGHTS,
@@ -15,11 +15,11 @@ from dualbrain.adaptation.adapter_card import (
     weights_id,
     write_card,
 )
-from dualbrain.adaptation.adapters import BARE, JOURNAL, UNRECORDED, Adapters, NotPromoted, place_of
+from dualbrain.adaptation.adapters.naming import champion_of, folder_of
+from dualbrain.adaptation.adapters.promotion import Decision
+from dualbrain.adaptation.adapters.registry import BARE, JOURNAL, UNRECORDED, Adapters, NotPromoted, place_of
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.durable import DiskFull
-from dualbrain.adaptation.promotion import Decision
-from dualbrain.adaptation.serving.names import champion_of, folder_of
+from dualbrain.core.storage.atomic_files import DiskFull
 from dualbrain.errors import InvalidSetup, UnknownName
 
 PLACE = ("panda", "b" * 64)

@@ -9,9 +9,9 @@ datasets = pytest.importorskip("datasets", reason="TRL is for this comparison on
 
 import torch  # noqa: E402
 
-from dualbrain.adaptation.fitting.batch import collate, contract_states  # noqa: E402
-from dualbrain.adaptation.fitting.masters import Masters  # noqa: E402
-from dualbrain.adaptation.fitting.objective import objective  # noqa: E402
+from dualbrain.adaptation.training.master_weights import Masters  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.objective import objective  # noqa: E402
 from tests.adaptation.tiny import learner, samples  # noqa: E402
 
 STEPS, RATE = 5, 1e-2

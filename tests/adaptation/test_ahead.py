@@ -9,11 +9,11 @@ for part in ("torch", "transformers", "llguidance"):
     pytest.importorskip(part, reason="the extra `adapt` is not installed")
 import torch
 
-from dualbrain.adaptation.serving import ahead
-from dualbrain.adaptation.serving.ahead import Reply, speak
-from dualbrain.adaptation.serving.bound_decoding import Binding, vocabulary_of
+from dualbrain.adaptation.serving import speculative_decoding
+from dualbrain.adaptation.serving.constrained_decoding import Binding, vocabulary_of
+from dualbrain.adaptation.serving.speculative_decoding import Reply, speak
 from dualbrain.errors import InvalidSetup
-from dualbrain.planner.grammar import contract_grammar
+from dualbrain.planner.decoding.llguidance_grammar import contract_grammar
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import model
 
@@ -110,13 +110,15 @@ def test_what_one_guessed_wrongly_is_forgotten_while_another_goes_on(mind):
 
 def test_what_is_forced_costs_no_step_of_its_own(mind, monkeypatch):
     counted = []
-    inner = ahead._Memory.read
-    monkeypatch.setattr(ahead._Memory, "read", lambda self, tokens: counted.append(tokens) or inner(self, tokens))
+    inner = speculative_decoding._Memory.read
+    monkeypatch.setattr(
+        speculative_decoding._Memory, "read", lambda self, tokens: counted.append(tokens) or inner(self, tokens)
+    )
     first = said(mind, "bound")
     steps = len(counted)
     assert all(json.loads(mind[1].decode(one, skip_special_tokens=True))["steps"] for one in first)
     assert 3 * steps < max(map(len, first))
-    monkeypatch.setattr(ahead, "AHEAD", 1)
+    monkeypatch.setattr(speculative_decoding, "AHEAD", 1)
     counted.clear()
     assert said(mind, "bound") == first
     assert len(counted) == max(map(len, first)) - 1

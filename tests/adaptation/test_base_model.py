@@ -11,14 +11,14 @@ pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
 import gguf  # noqa: E402
 
-from dualbrain.adaptation.adapter_card import weights_id  # noqa: E402
-from dualbrain.adaptation.bases import Base, find_base  # noqa: E402
-from dualbrain.adaptation.durable import DiskFull  # noqa: E402
-from dualbrain.adaptation.fitting import dequantised as room  # noqa: E402
-from dualbrain.adaptation.fitting.base_model import open_base  # noqa: E402
-from dualbrain.adaptation.fitting.dequantised import STAMP, dequantised  # noqa: E402
+from dualbrain.adaptation.adapters.base_models import Base, find_base  # noqa: E402
+from dualbrain.adaptation.adapters.card import weights_id  # noqa: E402
+from dualbrain.adaptation.training.model import dequantized_base as room  # noqa: E402
+from dualbrain.adaptation.training.model.base_model import open_base  # noqa: E402
+from dualbrain.adaptation.training.model.dequantized_base import STAMP, dequantised  # noqa: E402
+from dualbrain.core.storage.atomic_files import DiskFull  # noqa: E402
+from dualbrain.core.weights import find_file  # noqa: E402
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName  # noqa: E402
-from dualbrain.weights import find_file  # noqa: E402
 from tests.adaptation import tiny_gguf, tiny_served  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning", "ignore::DeprecationWarning")

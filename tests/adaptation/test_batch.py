@@ -5,7 +5,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.fitting.batch import IGNORED, Batch, collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.model.batching import IGNORED, Batch, collate, contract_states  # noqa: E402
 from tests.adaptation.tiny import learner, moved, samples  # noqa: E402
 
 

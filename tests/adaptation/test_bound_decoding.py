@@ -10,10 +10,10 @@ for part in ("torch", "transformers", "llguidance"):
     pytest.importorskip(part, reason="the extra `adapt` is not installed")
 from transformers import AutoTokenizer
 
-from dualbrain.adaptation.serving.bound_decoding import Binding, vocabulary_of
-from dualbrain.planner.grammar import actions_grammar
+from dualbrain.adaptation.serving.constrained_decoding import Binding, vocabulary_of
+from dualbrain.core.weights import default_cache, locate
+from dualbrain.planner.decoding.llguidance_grammar import actions_grammar
 from dualbrain.planner.registry import SMALL_PLANNER
-from dualbrain.weights import default_cache, locate
 from tests.planner.questions import request
 
 PLACE = {"skill": "place", "params": {"destination": "blue_bowl", "speed": 0.2, "wait": "none"}}

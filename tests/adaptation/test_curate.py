@@ -7,20 +7,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.adaptation.balance import attributes, repeats
-from dualbrain.adaptation.candidate import candidates
-from dualbrain.adaptation.clean_rules import CleanRules
-from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.duplicates import merge
-from dualbrain.adaptation.scene_groups import held_out, scene_groups
-from dualbrain.contracts.gate import Gate
+from dualbrain.adaptation.curation.balancing import attributes, repeats
+from dualbrain.adaptation.curation.candidate import candidates
+from dualbrain.adaptation.curation.curate import Curation, curate
+from dualbrain.adaptation.curation.deduplication import merge
+from dualbrain.adaptation.curation.scene_split import held_out, scene_groups
+from dualbrain.adaptation.curation.selection import CleanRules
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Accepted
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.compact import swap
-from dualbrain.memory.curation import forget, quarantine, release
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.memory.plans import same_plan
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.maintenance.compaction import swap
+from dualbrain.memory.maintenance.edits import forget, quarantine, release
+from dualbrain.memory.plasticity.plan_similarity import same_plan
 from tests.adaptation.episodes import NOW, REGISTRY, episode, pick, remember, scene, several, summary
 
 GOOD = "good"

@@ -4,9 +4,9 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.config import SEED, WHOLE, AdaptConfig, FitDials, ObjectiveDials, read_config
-from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.dataset import CARD, HELD_OUT, TRAIN, dataset_of, read_dataset, write_dataset
-from dualbrain.adaptation.schedule import batches
+from dualbrain.adaptation.curation.curate import Curation, curate
+from dualbrain.adaptation.curation.dataset import CARD, HELD_OUT, TRAIN, dataset_of, read_dataset, write_dataset
+from dualbrain.adaptation.training.schedule import batches
 from dualbrain.errors import InvalidSetup, MissingPart
 from tests.adaptation.episodes import REGISTRY, episode, remember, several, summary
 

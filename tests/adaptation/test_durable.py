@@ -6,7 +6,7 @@ import tempfile
 
 import pytest
 
-from dualbrain.adaptation.durable import DiskFull, require_place, whole_file, whole_folder, write_durably
+from dualbrain.core.storage.atomic_files import DiskFull, require_place, whole_file, whole_folder, write_durably
 
 
 @pytest.mark.parametrize(

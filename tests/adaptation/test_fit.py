@@ -12,8 +12,8 @@ import msgspec
 import pytest
 
 from dualbrain.adaptation.config import AdaptConfig, ObjectiveDials
-from dualbrain.adaptation.dataset import Dataset
-from dualbrain.adaptation.durable import DiskFull
+from dualbrain.adaptation.curation.dataset import Dataset
+from dualbrain.core.storage.atomic_files import DiskFull
 from dualbrain.errors import InvalidSetup
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
@@ -22,13 +22,13 @@ pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 from peft import LoraConfig  # noqa: E402
 from safetensors.torch import save  # noqa: E402
 
-from dualbrain.adaptation.fitting import learner as learner_room  # noqa: E402
-from dualbrain.adaptation.fitting.adapter_folder import write_adapter  # noqa: E402
-from dualbrain.adaptation.fitting.batch import collate, prompt_ids  # noqa: E402
-from dualbrain.adaptation.fitting.loop import BEST, CHECKPOINT, STATES, Diverged  # noqa: E402
-from dualbrain.adaptation.fitting.stored import unpacked  # noqa: E402
-from dualbrain.adaptation.fitting.worn import worn  # noqa: E402
-from dualbrain.adaptation.serving.peft_lora import read_lora  # noqa: E402
+from dualbrain.adaptation.conversion.peft_lora import read_lora  # noqa: E402
+from dualbrain.adaptation.training.checksummed_tensors import unpacked  # noqa: E402
+from dualbrain.adaptation.training.model import lora_model as learner_room  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, prompt_ids  # noqa: E402
+from dualbrain.adaptation.training.model.lora_model import worn  # noqa: E402
+from dualbrain.adaptation.training.model.save_adapter import write_adapter  # noqa: E402
+from dualbrain.adaptation.training.trainer import BEST, CHECKPOINT, STATES, Diverged  # noqa: E402
 from tests.adaptation.bench import Bench, dataset, dials, exactly, sample  # noqa: E402
 from tests.adaptation.tiny import DIALS, learner, model, moved, samples, tokenizer  # noqa: E402
 

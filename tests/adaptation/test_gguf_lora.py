@@ -22,9 +22,9 @@ import xllamacpp
 from peft import LoraConfig
 from safetensors.torch import load_file, save_file
 
-from dualbrain.adaptation.durable import DiskFull
-from dualbrain.adaptation.serving.gguf_lora import convert, permuted
-from dualbrain.adaptation.serving.peft_lora import CONFIG, PLAIN, READ, WEIGHTS, read_lora, require_plain
+from dualbrain.adaptation.conversion.gguf_lora import convert, permuted
+from dualbrain.adaptation.conversion.peft_lora import CONFIG, PLAIN, READ, WEIGHTS, read_lora, require_plain
+from dualbrain.core.storage.atomic_files import DiskFull
 from dualbrain.errors import InvalidSetup, MissingPart
 from tests.adaptation.tiny_gguf import KINDS, fitted, interleaved, model, write_gguf
 

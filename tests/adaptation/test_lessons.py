@@ -8,18 +8,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.adaptation.lessons import kinds
-from dualbrain.adaptation.lessons.course import course, language_judge
-from dualbrain.adaptation.lessons.draw import draw_number
-from dualbrain.adaptation.lessons.lesson import FOLLOWED, free_parameters
-from dualbrain.adaptation.lessons.score import score
-from dualbrain.adaptation.lessons.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY, SEEDS
+from dualbrain.adaptation.synthetic import templates
+from dualbrain.adaptation.synthetic.dataset import course, language_judge
+from dualbrain.adaptation.synthetic.example import FOLLOWED, free_parameters
+from dualbrain.adaptation.synthetic.random_parameters import draw_number
+from dualbrain.adaptation.synthetic.scoring import score
+from dualbrain.adaptation.synthetic.split import HELD_OUT_CATEGORIES, HELD_OUT_FAMILY, SEEDS
 from dualbrain.contracts.contract import Action, Contract
 from dualbrain.contracts.skill_spec import Choice, Number
 from dualbrain.errors import WrongHash
-from dualbrain.planner.short_prompt import STEPS_LIMIT, exemplar_steps
-from dualbrain.runtime.classroom import ROBOTS, lessons, setting_of, speech
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.planner.prompt.short_prompt import STEPS_LIMIT, exemplar_steps
+from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons, setting_of, speech
 
 REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
 
@@ -154,13 +154,13 @@ def test_numbers_stay_within_their_bounds_and_are_short():
 
 
 def test_another_file_of_lessons_is_refused(monkeypatch):
-    monkeypatch.setattr(kinds, "LESSONS_SHA256", "0" * 64)
-    kinds.book.cache_clear()
+    monkeypatch.setattr(templates, "LESSONS_SHA256", "0" * 64)
+    templates.book.cache_clear()
     with pytest.raises(WrongHash, match=r"lessons\.toml"):
-        kinds.book()
+        templates.book()
     monkeypatch.undo()
-    kinds.book.cache_clear()
-    kinds.book()
+    templates.book.cache_clear()
+    templates.book()
 
 
 def test_a_course_names_every_vocabulary_and_who_proposed(taught):

@@ -12,18 +12,18 @@ for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
 import torch
 from safetensors.torch import load_file, save_file
 
-from dualbrain.adaptation.adapter_card import CONFIG, WEIGHTS, weights_id, write_card
-from dualbrain.adaptation.serving import local_transformers
-from dualbrain.adaptation.serving.layers import stack_of
-from dualbrain.adaptation.serving.local_transformers import TorchConfig, TorchPlanner
-from dualbrain.adaptation.serving.opening import open_planner, origin, wear
+from dualbrain.adaptation.adapters.card import CONFIG, WEIGHTS, weights_id, write_card
+from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.serving import transformers_planner
+from dualbrain.adaptation.serving.open_planner import open_planner, origin, wear
+from dualbrain.adaptation.serving.transformers_planner import TorchConfig, TorchPlanner
 from dualbrain.errors import InvalidSetup, UnknownName
 from dualbrain.planner import protocol
-from dualbrain.planner.asking import FREE, SHORT
-from dualbrain.planner.llama import LlamaConfig
-from dualbrain.planner.prompt import template_hash
-from dualbrain.planner.reading import template_of
-from dualbrain.planner.short_prompt import short_template_hash
+from dualbrain.planner.backends.llama_cpp import LlamaConfig
+from dualbrain.planner.introspection import template_of
+from dualbrain.planner.prompt.full_prompt import template_hash
+from dualbrain.planner.prompt.prompt_format import FREE, SHORT
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation import tiny_gguf, tiny_served
 from tests.adaptation.tiny_gguf import model
 from tests.planner.questions import REGISTRY, request
@@ -74,7 +74,7 @@ def test_a_time_limit_is_a_finish_reason(home):
 
 
 def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monkeypatch):
-    monkeypatch.setattr(local_transformers, "dressed", None)
+    monkeypatch.setattr(transformers_planner, "dressed", None)
     for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
         with pytest.raises(InvalidSetup):
             planner(home).propose(request(**wrong))

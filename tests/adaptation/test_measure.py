@@ -16,31 +16,32 @@ for part in ("torch", "peft", "gguf", "xllamacpp"):
 import torch
 from peft import PeftModel
 
-from dualbrain import weights
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.adapters import Adapters
-from dualbrain.adaptation.bases import hash_of_base
-from dualbrain.adaptation.dataset import Dataset, DatasetCard, dataset_hash, write_dataset
-from dualbrain.adaptation.durable import DiskFull
-from dualbrain.adaptation.promotion import LEAST, Measured
-from dualbrain.adaptation.sample import Sample, answer, to_lines
-from dualbrain.adaptation.serving import packaged
-from dualbrain.adaptation.serving.combined import combined, write_peft
-from dualbrain.adaptation.serving.difference import gaps, overall, told_apart
-from dualbrain.adaptation.serving.layers import stack_of
-from dualbrain.adaptation.serving.likelihood import perplexity
-from dualbrain.adaptation.serving.measure import measure, questions
-from dualbrain.adaptation.serving.opening import wear
-from dualbrain.adaptation.serving.peft_lora import read_lora
-from dualbrain.adaptation.serving.speaking import Said
-from dualbrain.cli import adapters as adapters_command
-from dualbrain.cli import adapters_export, adapters_measure
+from dualbrain.adaptation.adapters import packaged
+from dualbrain.adaptation.adapters.base_models import hash_of_base
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.adapters.comparison import gaps, overall, told_apart
+from dualbrain.adaptation.adapters.promotion import LEAST, Measured
+from dualbrain.adaptation.adapters.registry import Adapters
+from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.conversion.concatenated_lora import combined, write_peft
+from dualbrain.adaptation.conversion.peft_lora import read_lora
+from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard, dataset_hash, write_dataset
+from dualbrain.adaptation.curation.sample import Sample, answer, to_lines
+from dualbrain.adaptation.serving.measurement import measure, questions
+from dualbrain.adaptation.serving.open_planner import wear
+from dualbrain.adaptation.serving.perplexity import perplexity
+from dualbrain.adaptation.serving.raw_completion import Said
+from dualbrain.cli.adapters import export
+from dualbrain.cli.adapters import measure as adapters_measure
+from dualbrain.cli.adapters import registry as adapters_command
+from dualbrain.core import weights
+from dualbrain.core.storage.atomic_files import DiskFull
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.curation import note_adapter
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.chat import Answer
-from dualbrain.planner.llama import LlamaConfig
-from dualbrain.planner.short_prompt import short_template_hash
+from dualbrain.memory.maintenance.edits import note_adapter
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.llama_cpp import LlamaConfig
+from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation import tiny_served
 from tests.adaptation.episodes import NOW, remember, several
 from tests.adaptation.test_gguf_lora import PROMPT, of_llama, of_torch
@@ -82,8 +83,8 @@ def speaks(monkeypatch):
         number = int(turns[0]["content"].split()[-1]) % len(SAYS)
         return Said(SAYS[number][0], True, (), ())
 
-    monkeypatch.setattr("dualbrain.adaptation.serving.measure.say", say)
-    monkeypatch.setattr("dualbrain.adaptation.serving.measure.perplexity", lambda planner, text: 12.5)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", say)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.perplexity", lambda planner, text: 12.5)
 
 
 def test_each_answer_is_judged_by_gate_and_by_what_was_asked_for(speaks):
@@ -110,7 +111,7 @@ def test_too_few_questions_and_a_silent_runtime_are_told(speaks, monkeypatch):
     with pytest.raises(InvalidSetup, match="held-out questions"):
         questions(ASKED, 10)
     assert len(questions((*ASKED, *ASKED), 40)) == 40
-    monkeypatch.setattr("dualbrain.adaptation.serving.measure.say", lambda *a, **k: Answer("", "timeout"))
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.say", lambda *a, **k: Answer("", "timeout"))
     with pytest.raises(Exception, match="timeout"):
         measure(None, ASKED, REGISTRY, adapter="a", runtime="r")
 
@@ -125,10 +126,10 @@ def home(tmp_path, monkeypatch):
     tiny_served.adapter(lower.merge_and_unload(), tmp_path / "fit", 6, base="first", base_sha256=card.id)
     registry = Adapters(tmp_path / "adapters")
     registry.add(tmp_path / "fit", now=0.0)
-    for module in (adapters_command, adapters_export, adapters_measure):
+    for module in (adapters_command, export, adapters_measure):
         monkeypatch.setattr(module, "cache", lambda: tmp_path / "cache")
     monkeypatch.setattr(adapters_command, "home", lambda: tmp_path)
-    monkeypatch.setattr("dualbrain.runtime.vocabulary.vocabulary", lambda robot: REGISTRY)
+    monkeypatch.setattr("dualbrain.grounding.vocabulary.vocabulary", lambda robot: REGISTRY)
     return tmp_path
 
 
@@ -145,8 +146,8 @@ def data_set(train, rows):
 @pytest.fixture
 def briefly(monkeypatch):
     """Answers of three tokens, and a short text to retain."""
-    monkeypatch.setattr("dualbrain.adaptation.serving.measure.LONGEST", 3)
-    monkeypatch.setattr("dualbrain.adaptation.serving.measure.retention_text", lambda: "The sea is blue.")
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.LONGEST", 3)
+    monkeypatch.setattr("dualbrain.adaptation.serving.measurement.retention_text", lambda: "The sea is blue.")
 
 
 def test_a_candidate_and_the_base_below_it_are_measured_and_written_for_the_gate(home, briefly, capsys):
@@ -200,7 +201,7 @@ def test_both_are_flown_unless_that_is_left_out_and_what_one_was_taught_is_not_a
         adapters_measure.measure(one, data=home / "data", out=home / "m.json")
     asked = []
     monkeypatch.setattr(
-        "dualbrain.runtime.remembered_flight.remembered_flight",
+        "dualbrain.runtime.memory_replay.remembered_flight",
         lambda ledger, rows, *, seed: asked.extend(rows) or (lambda row, text: (True, 0.001)),
     )
     remember(home, [taught], lambda memory: note_adapter(memory, one, "d" * 64, [taught.id], now=NOW)).close()
@@ -235,7 +236,7 @@ def test_what_is_exported_computes_the_same(home, form):
         PeftModel.from_pretrained(model("llama"), home / "packaged" / "first").merge_and_unload(), home / "fit"
     )
     wanted = of_torch(upper.eval())
-    assert adapters_export.export(one[:12], home / "out", form=form) == 0
+    assert export.export(one[:12], home / "out", form=form) == 0
     (home / "plain").touch()
     for file in filter(Path.is_file, (home / "out", *home.glob("out/*"))):
         assert file.stat().st_mode == (home / "plain").stat().st_mode
@@ -251,7 +252,7 @@ def test_what_is_exported_computes_the_same(home, form):
             found, close = of_llama(home / "out", None), 2e-2  # half precision
     np.testing.assert_allclose(found, wanted, atol=close)
     with pytest.raises(InvalidSetup, match="free"):
-        adapters_export.export(one[:12], home / "out", form=form)
+        export.export(one[:12], home / "out", form=form)
 
 
 def test_layers_apart_as_whole_matrices_say(tmp_path):
@@ -269,7 +270,7 @@ def test_layers_apart_as_whole_matrices_say(tmp_path):
 
 def test_adapters_are_told_apart(home, capsys):
     one = Adapters(home / "adapters").ids()[0]
-    assert adapters_export.diff(one[:12], "first") == 0
+    assert export.diff(one[:12], "first") == 0
     told = capsys.readouterr().out
     assert "base: first | tiny" in told
     assert "‖difference‖" in told
@@ -283,12 +284,12 @@ def test_what_only_one_of_two_adapters_sits_on_counts_as_its_own(home, capsys):
     first, second = (read_lora(home / name) for name in ("packaged/first", "fit"))
     both = gaps(combined([home / "packaged" / "first", home / "fit"]), first)
     for names, fields in (((one, "first"), ("first", "second")), (("first", one), ("second", "first"))):
-        assert adapters_export.diff(*names, json=True) == 0
+        assert export.diff(*names, json=True) == 0
         told = json.loads(capsys.readouterr().out)["all"]
         assert told["apart"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
         assert [told[field] for field in fields] == pytest.approx([overall(both).first, overall(both).second])
     tiny_served.adapter(model("llama"), home / "again", 7, base="first", base_sha256=hash_of_base("first"))
-    assert adapters_export.diff(one, str(home / "again"), json=True) == 0  # what both sit on is left out
+    assert export.diff(one, str(home / "again"), json=True) == 0  # what both sit on is left out
     told = json.loads(capsys.readouterr().out)["all"]
     assert told["first"] == pytest.approx(overall(gaps(second, {})).first, rel=1e-4)
 
@@ -299,7 +300,7 @@ def test_adapters_of_different_models_are_not_compared(home, monkeypatch, capsys
     tiny_served.adapter(model("llama"), home / "apart", 7, base="other", base_sha256="0" * 64)
     (one,) = Adapters(home / "adapters").ids()
     with pytest.raises(InvalidSetup, match="tiny and other"):
-        adapters_export.diff(one, str(home / "apart"))
+        export.diff(one, str(home / "apart"))
     assert capsys.readouterr().out == ""
 
 

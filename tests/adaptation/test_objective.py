@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.adaptation.config import ObjectiveDials
-from dualbrain.adaptation.omega import normalised, omega
+from dualbrain.adaptation.training.objective import normalised, omega
 
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.fitting.base_states import compute, find, keep, key_of  # noqa: E402
-from dualbrain.adaptation.fitting.batch import IGNORED, collate, contract_states  # noqa: E402
-from dualbrain.adaptation.fitting.masters import Masters  # noqa: E402
-from dualbrain.adaptation.fitting.objective import divergence, entropy, objective, soft_gate  # noqa: E402
-from dualbrain.adaptation.fitting.precision import choose  # noqa: E402
+from dualbrain.adaptation.training.master_weights import Masters  # noqa: E402
+from dualbrain.adaptation.training.model.batching import IGNORED, collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.model.precision import choose  # noqa: E402
+from dualbrain.adaptation.training.objective import divergence, entropy, objective, soft_gate  # noqa: E402
+from dualbrain.adaptation.training.reference_states import compute, find, keep, key_of  # noqa: E402
 from dualbrain.errors import InvalidSetup  # noqa: E402
 from tests.adaptation.tiny import learner, moved, samples  # noqa: E402
 

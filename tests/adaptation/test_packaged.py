@@ -2,20 +2,20 @@
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
-from dualbrain.adaptation.bases import hash_of_base
-from dualbrain.adaptation.lessons.course import CHECKS, DIALS, LESSONS, course
-from dualbrain.adaptation.serving.fitness import require_fit, require_prompt
-from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.adaptation.serving.peft_lora import read_lora
-from dualbrain.runtime import starter
-from dualbrain.runtime.classroom import ROBOTS, lessons
-from dualbrain.runtime.proposals import ROBOT
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.adaptation.adapters.base_models import hash_of_base
+from dualbrain.adaptation.adapters.card import WEIGHTS, read_adapter_card
+from dualbrain.adaptation.adapters.compatibility import require_fit, require_prompt
+from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.conversion.peft_lora import read_lora
+from dualbrain.adaptation.synthetic.dataset import CHECKS, DIALS, LESSONS, course
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.runtime.data_collection import starter_dataset
+from dualbrain.runtime.data_collection.rollouts import ROBOT
+from dualbrain.runtime.data_collection.synthetic_scenes import ROBOTS, lessons
 
 LARGEST = 5_000_000
 REGISTRIES = {robot: vocabulary(robot) for robot in ROBOTS}
-MADE = {"base-135m": (DIALS, list(REGISTRIES)), "starter-135m": (starter.DIALS, [ROBOT])}
+MADE = {"base-135m": (DIALS, list(REGISTRIES)), "starter-135m": (starter_dataset.DIALS, [ROBOT])}
 """By name: the dials, and the robots it was taught to speak to."""
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from dualbrain.adaptation.promotion import Decision, Results, Tolerances, Trial, decide
+from dualbrain.adaptation.adapters.promotion import Decision, Results, Tolerances, Trial, decide
 from dualbrain.errors import InvalidSetup
 
 

@@ -9,11 +9,11 @@ from dualbrain.errors import InvalidSetup, MissingPart
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 lora = pytest.importorskip("peft.tuners.lora", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.fitting import quantised  # noqa: E402
-from dualbrain.adaptation.fitting.base_states import compute, key_of  # noqa: E402
-from dualbrain.adaptation.fitting.batch import collate, contract_states  # noqa: E402
-from dualbrain.adaptation.fitting.learner import Learner  # noqa: E402
-from dualbrain.adaptation.fitting.run import Run  # noqa: E402
+from dualbrain.adaptation.training.checkpoint import Run  # noqa: E402
+from dualbrain.adaptation.training.model import quantized_layers  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.model.lora_model import Learner  # noqa: E402
+from dualbrain.adaptation.training.reference_states import compute, key_of  # noqa: E402
 from tests.adaptation import bench  # noqa: E402
 from tests.adaptation.tiny import model, samples, tokenizer  # noqa: E402
 
@@ -28,7 +28,7 @@ def packed(dials=NF4.fit, dtype=torch.float32):
     """A learner on a tiny model, two blocks wide, in four bits."""
     try:
         made = wide().to(dtype)
-        quantised.quantise(made, "cpu")
+        quantized_layers.quantise(made, "cpu")
     except MissingPart:
         pytest.skip("the extra `qlora` is not installed")
     return Learner(made, tokenizer(), dials)
@@ -37,7 +37,7 @@ def packed(dials=NF4.fit, dtype=torch.float32):
 def test_without_the_package_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "bitsandbytes", None)
     with pytest.raises(MissingPart, match=r"bitsandbytes, of the extra `qlora`, .*dualbrain\[qlora\]"):
-        quantised.quantise(model(), "cpu")
+        quantized_layers.quantise(model(), "cpu")
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
@@ -55,7 +55,7 @@ def test_all_layers_but_the_output_matrix_are_packed_and_wear_an_adapter(dtype):
 def test_rows_that_are_no_whole_blocks_are_refused():
     packed()
     with pytest.raises(InvalidSetup, match="row of the base in nf4: got 32, allowed: multiples of 64"):
-        quantised.quantise(model(), "cpu")
+        quantized_layers.quantise(model(), "cpu")
 
 
 def test_each_weight_is_near_what_it_was():

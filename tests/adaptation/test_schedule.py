@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from dualbrain.adaptation.compliance import gate_judge, share
 from dualbrain.adaptation.config import FitDials
-from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.patience import HeldOut, Patience
-from dualbrain.adaptation.schedule import batches, rate
+from dualbrain.adaptation.curation.curate import Curation, curate
+from dualbrain.adaptation.early_stopping import HeldOut, Patience
+from dualbrain.adaptation.training.schedule import batches, rate
 from tests.adaptation.episodes import REGISTRY, remember, several
 
 

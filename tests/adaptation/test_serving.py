@@ -17,24 +17,27 @@ import gguf
 import numpy as np
 import torch
 
-from dualbrain import weights
-from dualbrain.adaptation.adapter_card import WEIGHTS, write_card
-from dualbrain.adaptation.adapters import BARE, Adapters
-from dualbrain.adaptation.bases import find_base, hash_of_base
-from dualbrain.adaptation.promotion import Decision
-from dualbrain.adaptation.serving import gguf_cache, merged_gguf, opening, packaged
-from dualbrain.adaptation.serving.adapted import NotItself
+from dualbrain.adaptation.adapters import packaged
+from dualbrain.adaptation.adapters.base_models import find_base, hash_of_base
+from dualbrain.adaptation.adapters.card import WEIGHTS, write_card
+from dualbrain.adaptation.adapters.promotion import Decision
+from dualbrain.adaptation.adapters.registry import BARE, Adapters
+from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.conversion import merged_gguf
+from dualbrain.adaptation.conversion.gguf_base import write_out
+from dualbrain.adaptation.serving import gguf_cache
+from dualbrain.adaptation.serving import open_planner as opening
+from dualbrain.adaptation.serving.adapted_planner import NotItself
 from dualbrain.adaptation.serving.canary import Record
-from dualbrain.adaptation.serving.gguf_base import write_out
 from dualbrain.adaptation.serving.gguf_cache import served, worn
-from dualbrain.adaptation.serving.layers import stack_of
-from dualbrain.adaptation.serving.likelihood import perplexity, retention_text
-from dualbrain.adaptation.serving.opening import author, open_adapter, open_planner, shadow_log, watch_of, wear
-from dualbrain.adaptation.serving.speaking import say
+from dualbrain.adaptation.serving.open_planner import author, open_adapter, open_planner, shadow_log, watch_of, wear
+from dualbrain.adaptation.serving.perplexity import perplexity, retention_text
+from dualbrain.adaptation.serving.raw_completion import say
+from dualbrain.core import weights
 from dualbrain.errors import InvalidSetup, UnknownName, WrongHash
 from dualbrain.planner import protocol
-from dualbrain.planner.asking import FREE, SHORT
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
+from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
+from dualbrain.planner.prompt.prompt_format import FREE, SHORT
 from tests.adaptation import tiny_served
 from tests.adaptation.tiny import tokenizer
 from tests.adaptation.tiny_gguf import model

@@ -6,14 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from dualbrain.adaptation.adapters.naming import shadow_parts
 from dualbrain.adaptation.serving import shadow
-from dualbrain.adaptation.serving.names import shadow_parts
-from dualbrain.adaptation.serving.opening import origin
+from dualbrain.adaptation.serving.open_planner import origin
 from dualbrain.adaptation.serving.shadow import Shadowed, glances, summary
 from dualbrain.errors import InvalidSetup
 from dualbrain.planner import protocol
-from dualbrain.planner.prompt import render, template_hash
-from dualbrain.planner.reading import messages_of, template_of
+from dualbrain.planner.introspection import messages_of, template_of
+from dualbrain.planner.prompt.full_prompt import render, template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.questions import request
 

@@ -14,7 +14,7 @@ from dualbrain.errors import DualbrainError, InvalidSetup
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation.fitting.launched import gathered  # noqa: E402
+from dualbrain.adaptation.training.accelerate_group import gathered  # noqa: E402
 from tests.adaptation.bench import DEFAULT, Bench, dials  # noqa: E402
 
 FORK = multiprocessing.get_context("fork")

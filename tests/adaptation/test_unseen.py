@@ -3,12 +3,12 @@
 import msgspec
 import pytest
 
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.curate import Curation, curate
-from dualbrain.adaptation.dataset import dataset_of
-from dualbrain.adaptation.sample import Other
-from dualbrain.adaptation.unseen import unseen
-from dualbrain.memory.curation import note_adapter
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.adapters.training_overlap import unseen
+from dualbrain.adaptation.curation.curate import Curation, curate
+from dualbrain.adaptation.curation.dataset import dataset_of
+from dualbrain.adaptation.curation.sample import Other
+from dualbrain.memory.maintenance.edits import note_adapter
 from tests.adaptation.episodes import NOW, REGISTRY, remember, several
 from tests.adaptation.test_adapters import made
 

@@ -5,8 +5,8 @@ from tokenizers import Tokenizer, decoders, models, pre_tokenizers
 from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 
 from dualbrain.adaptation.config import FitDials
-from dualbrain.adaptation.fitting.batch import Encoded
-from dualbrain.adaptation.fitting.learner import Learner
+from dualbrain.adaptation.training.model.batching import Encoded
+from dualbrain.adaptation.training.model.lora_model import Learner
 
 torch.set_num_threads(1)
 TEMPLATE = "{% for m in messages %}{{ m['role'][0] + ':' + m['content'] }}{% endfor %}A:"

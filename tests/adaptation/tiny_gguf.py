@@ -9,7 +9,7 @@ from peft import LoraConfig, get_peft_model
 from safetensors.torch import load_file, save_file
 from transformers import LlamaConfig, LlamaForCausalLM, Qwen2Config, Qwen2ForCausalLM
 
-from dualbrain.adaptation.serving.peft_lora import WEIGHTS
+from dualbrain.adaptation.conversion.peft_lora import WEIGHTS
 from tests.adaptation.tiny import TEMPLATE, tokenizer
 
 KINDS = {"llama": (LlamaConfig, LlamaForCausalLM), "qwen2": (Qwen2Config, Qwen2ForCausalLM)}

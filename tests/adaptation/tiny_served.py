@@ -2,11 +2,11 @@
 
 import hashlib
 
-from dualbrain import weights
-from dualbrain.adaptation.adapter_card import AdapterCard, weights_id, write_card
+from dualbrain.adaptation.adapters.card import AdapterCard, weights_id, write_card
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.planner.short_prompt import short_template_hash
-from dualbrain.weights import WeightFile
+from dualbrain.core import weights
+from dualbrain.core.weights import WeightFile
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.adaptation.tiny_gguf import fitted, model, write_gguf
 from tests.planner.questions import REGISTRY
 

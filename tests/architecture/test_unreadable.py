@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 import dualbrain
-from dualbrain.adaptation.adapter_card import CARD, WEIGHTS, read_adapter_card
+from dualbrain.adaptation.adapters.card import CARD, WEIGHTS, read_adapter_card
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire
 from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire
 
 DEEP = b'{"also":' * 100_000 + b"1" + b"}" * 100_000
 BAD = {"no UTF-8": b'{"id":"\xff"}', "no JSON": b"\xff\xfe", "without end": DEEP, "another form": b"[]"}

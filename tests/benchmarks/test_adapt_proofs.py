@@ -7,7 +7,7 @@ import pytest
 from proofs import adapt_curve, language, retention, starter
 from proofs.proof import Options
 
-from dualbrain.runtime.classroom import lessons
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
 
 
 @pytest.fixture(scope="module")

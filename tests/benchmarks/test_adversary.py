@@ -9,8 +9,8 @@ from proofs.adversary_tables import tables, violations
 from proofs.judge import rotation, verdicts
 from proofs.trials import CLASSES, CONTROLS, LAG, MOVING, QUIET, STATIC
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Obstacle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import Obstacle
 from tests.safety import oracle
 
 SEEN = (

@@ -9,7 +9,7 @@ from proofs.journal import Journal
 from proofs.proof import Options
 from proofs.tasks import CLEARANCE, FORCE, all_tasks, task
 
-from dualbrain.world.scenes import FAMILIES
+from dualbrain.simulation.scenes.generators.tabletop import FAMILIES
 
 FAST = {"family": "tabletop", "seed": 106, "kind": "move_to"}
 

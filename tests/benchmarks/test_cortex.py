@@ -6,7 +6,7 @@ import pytest
 from proofs.cortex import DECLARED, HOW, Cortex
 from proofs.proof import Options
 
-from dualbrain.runtime.faults import MOMENTS
+from dualbrain.evaluation.fault_injection.faults import MOMENTS
 
 
 def row(how="kill", moment="carrying", **changes):

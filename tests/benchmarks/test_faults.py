@@ -7,7 +7,7 @@ from proofs.faults import BODIES, ROOMS, Faults
 from proofs.faults_tables import matrices, summary
 from proofs.proof import Options
 
-from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, ON_WHEELS, SOURCES
+from dualbrain.evaluation.fault_injection.faults import EXPECTED, KINDS, MOMENTS, ON_WHEELS, SOURCES
 
 
 def row(body="panda", fault=("state", "off", "carrying"), **changes):

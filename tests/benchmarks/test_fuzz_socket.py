@@ -8,7 +8,7 @@ from proofs.fuzz_socket import FAILED, FRAMES, FuzzSocket
 from proofs.fuzzer import Fuzzer
 from proofs.proof import Options
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.gate import Gate
 
 
 @pytest.fixture(scope="module")

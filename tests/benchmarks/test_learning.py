@@ -5,8 +5,8 @@ import pytest
 from proofs.learning import compared, start_contracts, thirds, usual
 from proofs.plot_learning import plot_learning
 
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.plasticity import EPSILON
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.plasticity.rule import EPSILON
 
 
 def row(arm, sizes, seed=0):

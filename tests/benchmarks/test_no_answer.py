@@ -4,7 +4,7 @@ import pytest
 from proofs import retention, starter
 from proofs.no_answer import NoAnswer
 
-from dualbrain.planner.chat import Answer
+from dualbrain.planner.backends.http_chat import Answer
 from dualbrain.planner.protocol import CRASHED, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 

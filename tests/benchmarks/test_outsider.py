@@ -17,11 +17,11 @@ from outsider.tracking import ACCELERATION, SPEED, agreed, commissioned
 from proofs.outsider import CELLS, CONTROLS, SEEDS, Outsider
 from proofs.proof import Options
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.core.geometry.rotations import matrix, quaternion
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.linalg import matrix, quaternion
-from dualbrain.records import Box, HalfSpace, Pose
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
 
 PERIOD = 0.002
 CUBES = {

@@ -6,12 +6,12 @@ import pytest
 from proofs.plant_adversary import KINDS, PlantAdversary, episode, total
 from proofs.plant_judge import BEYOND, PlantJudge
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Box, Sphere
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_builder import PREFIX
-from dualbrain.world.scene_spec import SceneSpec, Thing
-from dualbrain.world.stepped_plant import SteppedPlant
+from dualbrain.core.geometry.shapes import Box, Sphere
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.stepped_plant import SteppedPlant
+from dualbrain.simulation.scenes.scene_builder import PREFIX
+from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing
 
 
 def fixed(name, shape, position):

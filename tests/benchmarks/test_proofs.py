@@ -10,7 +10,7 @@ from proofs.proof import Options
 from proofs.runs import Contrast, Retold, Runs
 from proofs.sweep import Sweep
 
-from dualbrain.world.scenes import make_scene
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
 SAMPLE = (0, 7, 13, 19, 26, 33)
 

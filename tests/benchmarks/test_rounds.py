@@ -14,16 +14,16 @@ from proofs import nights, rounds
 from proofs.plot_rounds import plot_rounds
 from proofs.proof import Options
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card, write_card
-from dualbrain.adaptation.adapter_card import proposed_by_others as by_others
-from dualbrain.adaptation.bases import Base
-from dualbrain.adaptation.dataset import read_dataset
-from dualbrain.adaptation.lessons.split import SEEDS
-from dualbrain.adaptation.serving.layers import Layer, Stack
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.runtime import proposals as room
-from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.proposals import declined, instruction_of, memory_of
+from dualbrain.adaptation.adapters.base_models import Base
+from dualbrain.adaptation.adapters.card import WEIGHTS, AdapterCard, read_adapter_card, write_card
+from dualbrain.adaptation.adapters.card import proposed_by_others as by_others
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.adaptation.adapters.stacking import Layer, Stack
+from dualbrain.adaptation.curation.dataset import read_dataset
+from dualbrain.adaptation.synthetic.split import SEEDS
+from dualbrain.runtime.data_collection import rollouts as room
+from dualbrain.runtime.data_collection.rollouts import declined, instruction_of, memory_of
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
 from tests.adaptation.episodes import episode, pick, remember, summary
 
 BASE = Base("base-135m", packaged_folder("base-135m"), "gguf", (), read_adapter_card(packaged_folder("base-135m")).id)
@@ -98,7 +98,7 @@ def stage(small, monkeypatch):
     def stack_of(folder, cache):
         return Stack("smollm2-135m-instruct", folder, (Layer(folder, read_adapter_card(folder)),))
 
-    night = pytest.importorskip("dualbrain.adaptation.fitting.night", reason="the extra `adapt` is not installed")
+    night = pytest.importorskip("dualbrain.adaptation.training.train", reason="the extra `adapt` is not installed")
     monkeypatch.setattr(night, "adapt", adapt)
     monkeypatch.setattr(room, "carried_out", carried_out)
     monkeypatch.setattr(room, "TOGETHER", 4)

@@ -6,10 +6,10 @@ import pytest
 from proofs.plot_tick import plot_tick
 from proofs.tick import Tick
 
-from dualbrain.cli.folders import cache
+from dualbrain.cli.common.paths import cache
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
+from dualbrain.core.weights import locate
 from dualbrain.planner.registry import SMALL_PLANNER
-from dualbrain.runtime.gatekeeper.laps import PARTS
-from dualbrain.weights import locate
 
 
 @pytest.mark.slow

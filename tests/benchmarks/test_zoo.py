@@ -5,8 +5,8 @@ from proofs.zoo import AGREE, BY_NAME, Zoo, why_it_fails
 from proofs.zoo_adversary import fight
 from proofs.zoo_robots import EMPTY, LEFT_OUT, ROBOTS, robots_folder
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.safety.filter import Status
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Status
 
 
 @pytest.mark.parametrize("name", ["ur3_robot", "tiago_base"])

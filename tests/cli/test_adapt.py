@@ -13,20 +13,19 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
-from dualbrain.adaptation.fitting.team import ALONE
-from dualbrain.cli import adapt as command
-from dualbrain.cli import launcher, when_idle
-from dualbrain.cli.exits import Exit
+from dualbrain.adaptation.curation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.idle_scheduler import Machine, Pace
+from dualbrain.adaptation.training.process_group import ALONE
+from dualbrain.cli.adapters import adapt as command
+from dualbrain.cli.adapters import adapt_when_idle, process_launcher
+from dualbrain.cli.common.exit_codes import Exit
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.compact import swap
-from dualbrain.memory.events import ADAPTER, AdapterUse
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.ledger import LedgerReader
+from dualbrain.grounding.vocabulary import vocabulary_at
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.ledger.events import ADAPTER, AdapterUse
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.maintenance.compaction import swap
 from dualbrain.planner.registry import DEFAULT_PLANNER
-from dualbrain.runtime.idleness import Machine
-from dualbrain.runtime.low_load import Pace
-from dualbrain.runtime.vocabulary import vocabulary_at
 from tests.adaptation.episodes import CONFIG, NOW, episode, remember, several, summary
 
 
@@ -75,7 +74,7 @@ def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
     for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
         code, out, _ = tell("adapt", "--dry-run", "--json", *words)
         assert (code, json.loads(out)["left_out"]) == (Exit.SUCCESS, left)
-    assert "--site lab.toml" in " ".join(when_idle.command("panda", "b", None, site.relative_to(tmp_path), None,
+    assert "--site lab.toml" in " ".join(adapt_when_idle.command("panda", "b", None, site.relative_to(tmp_path), None,
                                                            tmp_path, json=False))  # fmt: skip
 
 
@@ -148,12 +147,12 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
         return "b" * 64 if serves else ""
 
     registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
-    monkeypatch.setattr("dualbrain.cli.adapters.registry_of_adapters", lambda: registry)
+    monkeypatch.setattr("dualbrain.cli.adapters.registry.registry_of_adapters", lambda: registry)
     monkeypatch.setattr(command, "_note", lambda *told: True)
     facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
     night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
     monkeypatch.setattr(command, "adapt_with_torch", lambda: night)
-    monkeypatch.setattr("dualbrain.adaptation.bases.find_base", lambda name, cache: name)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base", lambda name, cache: name)
     of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
     code, _, err = tell("adapt", "--out", "fit", *of.split())
     assert code == Exit.SUCCESS
@@ -166,9 +165,9 @@ def test_a_new_adapter_is_told_with_what_leads_to_its_service(
 
 def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tmp_path):
     """Whatever other tests have imported before."""
-    for name in [name for name in sys.modules if name.startswith("dualbrain.adaptation.fitting.")]:
+    for name in [name for name in sys.modules if name.startswith("dualbrain.adaptation.training.")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("dualbrain.adaptation.fitting.night", raising=False)
+    monkeypatch.delattr("dualbrain.adaptation.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     code, out, err = tell("adapt", "--out", "fit")
     assert (code, out) == (Exit.SETUP, "")
@@ -274,8 +273,8 @@ def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, 
 
 
 def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("dualbrain.cli.memory_open.encoder", lambda: HashingEncoder(32))
-    monkeypatch.setattr("dualbrain.cli.memory_open.config", lambda opened: CONFIG)
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.encoder", lambda: HashingEncoder(32))
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.config", lambda opened: CONFIG)
     tell("adapt", "--export", "set")
     dataset = read_dataset(tmp_path / "set")
     card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
@@ -290,9 +289,9 @@ def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp
 
 
 def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
     told = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
-    code = when_idle.adapt_when_idle(
+    code = adapt_when_idle.adapt_when_idle(
         ledger=tmp_path / "none.sqlite", out=tmp_path / "out", pace=Pace(look=0.05, calm=0.0), **told
     )
     assert code == Exit.SETUP
@@ -305,11 +304,11 @@ def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monk
 def test_when_idle_a_fit_that_was_killed_from_outside_says_so_and_how_to_go_on(
     tmp_path, monkeypatch, capfd, end, words
 ):
-    monkeypatch.setattr(when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
     work = [sys.executable, "-S", "-c", f"import os, sys; {end}"]
-    monkeypatch.setattr(when_idle, "command", lambda *told, **more: work)
+    monkeypatch.setattr(adapt_when_idle, "command", lambda *told, **more: work)
     told = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
-    code = when_idle.adapt_when_idle(out=Path("runs/night"), pace=Pace(look=0.05, calm=0.0), **told)
+    code = adapt_when_idle.adapt_when_idle(out=Path("runs/night"), pace=Pace(look=0.05, calm=0.0), **told)
     err = " ".join(capfd.readouterr().err.split())
     assert (code == Exit.SETUP) is bool(words)
     assert (words in err, "with --out runs/night goes on from the last checkpoint" in err) == (True, bool(words))
@@ -319,8 +318,8 @@ WATCHER = """
 import sys
 from pathlib import Path
 from dualbrain.cli import when_idle
-from dualbrain.runtime.idleness import Machine
-from dualbrain.runtime.low_load import Pace
+from dualbrain.adaptation.idle_scheduler import Machine
+from dualbrain.adaptation.idle_scheduler import Pace
 
 folder = Path(sys.argv[1])
 work = "import os, sys, time\\nopen(sys.argv[1] + '/pid', 'w').write(str(os.getpid()))\\ntime.sleep(600)"
@@ -386,12 +385,12 @@ def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatc
 
 
 def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
-    assert not launcher.launched({})
-    assert not launcher.launched({"WORLD_SIZE": "1"})
-    assert launcher.launched({"WORLD_SIZE": "2"})
+    assert not process_launcher.launched({})
+    assert not process_launcher.launched({"WORLD_SIZE": "1"})
+    assert process_launcher.launched({"WORLD_SIZE": "2"})
     for size in ("", "two", "-2"):
         with pytest.raises(InvalidSetup, match="unset WORLD_SIZE"):
-            launcher.launched({"WORLD_SIZE": size})
-    launcher.account_of(ALONE).print("heard")
-    launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
+            process_launcher.launched({"WORLD_SIZE": size})
+    process_launcher.account_of(ALONE).print("heard")
+    process_launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
     assert capsys.readouterr().err == "heard\n"

@@ -9,18 +9,18 @@ import pytest
 torch = pytest.importorskip("torch", reason="the extra `adapt` is not installed")
 pytest.importorskip("peft", reason="the extra `adapt` is not installed")
 
-from dualbrain.adaptation import durable  # noqa: E402
-from dualbrain.adaptation.adapter_card import WEIGHTS  # noqa: E402
-from dualbrain.adaptation.adapters import BARE, Adapters, place_of  # noqa: E402
-from dualbrain.adaptation.fitting import night  # noqa: E402
-from dualbrain.adaptation.fitting.loop import BEST  # noqa: E402
-from dualbrain.adaptation.promotion import Decision  # noqa: E402
-from dualbrain.cli.exits import Exit  # noqa: E402
+from dualbrain.adaptation.adapters.card import WEIGHTS  # noqa: E402
+from dualbrain.adaptation.adapters.promotion import Decision  # noqa: E402
+from dualbrain.adaptation.adapters.registry import BARE, Adapters, place_of  # noqa: E402
+from dualbrain.adaptation.training import train  # noqa: E402
+from dualbrain.adaptation.training.trainer import BEST  # noqa: E402
+from dualbrain.cli.common.exit_codes import Exit  # noqa: E402
 from dualbrain.cli.main import call  # noqa: E402
-from dualbrain.memory.events import ADAPTER  # noqa: E402
-from dualbrain.memory.hashing import HashingEncoder  # noqa: E402
-from dualbrain.memory.ledger import Ledger, LedgerReader  # noqa: E402
-from dualbrain.weights import find_file  # noqa: E402
+from dualbrain.core.storage import atomic_files  # noqa: E402
+from dualbrain.core.weights import find_file  # noqa: E402
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder  # noqa: E402
+from dualbrain.memory.ledger.events import ADAPTER  # noqa: E402
+from dualbrain.memory.ledger.ledger import Ledger, LedgerReader  # noqa: E402
 from tests.adaptation import tiny_gguf, tiny_served  # noqa: E402
 from tests.adaptation.episodes import CONFIG, episode, remember, several  # noqa: E402
 
@@ -45,8 +45,8 @@ def home_in(folder, patch):
     patch.chdir(folder)
     patch.setenv("DUALBRAIN_HOME", str(folder))
     patch.setenv("XDG_CACHE_HOME", str(folder / "xdg"))
-    patch.setattr("dualbrain.cli.memory_open.encoder", lambda: HashingEncoder(32))
-    patch.setattr("dualbrain.cli.memory_open.config", lambda opened: CONFIG)
+    patch.setattr("dualbrain.cli.memory.open_memory.encoder", lambda: HashingEncoder(32))
+    patch.setattr("dualbrain.cli.memory.open_memory.config", lambda opened: CONFIG)
     tiny_gguf.read_by_transformers(patch)
     cache = folder / "xdg" / "dualbrain"
     cache.mkdir(parents=True)
@@ -85,7 +85,7 @@ def undisturbed(tmp_path_factory):
 
 
 def test_what_a_fit_was_taught_is_not_lost_while_another_writes_the_ledger(here, undisturbed, monkeypatch):
-    monkeypatch.setattr("dualbrain.cli.memory_open.PATIENCE", 0.05)
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.PATIENCE", 0.05)
 
     def noted():
         with LedgerReader(here.folder / "ledger.sqlite") as opened:
@@ -115,26 +115,26 @@ def nothing_clean(here, monkeypatch):
 
 
 def changed_after_the_fit(here, monkeypatch):
-    plain = night.adapt
+    plain = train.adapt
 
     def adapt(*told, **more):
         card = plain(*told, **more)
         flip(here.fit / "adapter" / WEIGHTS)
         return card
 
-    monkeypatch.setattr(night, "adapt", adapt)
+    monkeypatch.setattr(train, "adapt", adapt)
 
 
 def changed_during_the_fit(here, monkeypatch):
     """Between the end of the fit and its being taken up again."""
-    plain = night.Fit.run
+    plain = train.Fit.run
 
     def run(fit, tell):
         plain(fit, tell)
         flip(here.fit / BEST)
         return plain(fit, tell)
 
-    monkeypatch.setattr(night.Fit, "run", run)
+    monkeypatch.setattr(train.Fit, "run", run)
 
 
 def wrong_base(here, monkeypatch):
@@ -195,8 +195,8 @@ def test_on_a_full_disk_too_and_with_room_again_it_ends_as_if_there_had_been(her
 
     for name in ("mkstemp", "mkdtemp"):
         monkeypatch.setattr(tempfile, name, filling(getattr(tempfile, name)))
-    beside = filling(lambda path, prefix, real=durable._beside: real(path))
-    monkeypatch.setattr(durable, "_beside", lambda path: beside(path, prefix=f".{path.name}."))
+    beside = filling(lambda path, prefix, real=atomic_files._beside: real(path))
+    monkeypatch.setattr(atomic_files, "_beside", lambda path: beside(path, prefix=f".{path.name}."))
     before = contents(here.registry.folder)
     code, out, err = here.adapt()
     assert (code, out) == (Exit.SETUP, "")

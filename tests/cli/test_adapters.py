@@ -7,17 +7,17 @@ import resource
 import msgspec
 import pytest
 
-from dualbrain.adaptation.adapter_card import WEIGHTS, AdapterCard, read_adapter_card, weights_id, write_card
-from dualbrain.adaptation.adapters import Adapters
-from dualbrain.adaptation.bases import hash_of_base
+from dualbrain.adaptation.adapters.base_models import hash_of_base
+from dualbrain.adaptation.adapters.card import WEIGHTS, AdapterCard, read_adapter_card, weights_id, write_card
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.adaptation.adapters.promotion import Measured
+from dualbrain.adaptation.adapters.registry import Adapters
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.promotion import Measured
-from dualbrain.adaptation.serving.opening import shadow_log
-from dualbrain.adaptation.serving.packaged import packaged_folder
+from dualbrain.adaptation.serving.open_planner import shadow_log
 from dualbrain.adaptation.serving.shadow import Glance
-from dualbrain.cli.adapters import HEARD
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.run import PLANNER
+from dualbrain.cli.adapters.registry import HEARD
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.run import PLANNER
 from dualbrain.planner.protocol import STOP, TIMEOUT
 from tests.adaptation.test_adapters import forget
 from tests.adaptation.test_promotion import results
@@ -58,8 +58,8 @@ def name(tmp_path):
 def sings(monkeypatch):
     """Canaries of adapters that are no adapters: what is wrong with their answers."""
     faults = {}
-    monkeypatch.setattr("dualbrain.cli.adapters.canary_fault", lambda registry, one: faults.get(one, ""))
-    monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama")
+    monkeypatch.setattr("dualbrain.cli.adapters.registry.canary_fault", lambda registry, one: faults.get(one, ""))
+    monkeypatch.setattr("dualbrain.cli.adapters.registry.runtime_here", lambda registry, one: "llama")
     return faults
 
 
@@ -139,11 +139,11 @@ def test_every_command_knows_an_adapter_by_all_of_its_names(tell, name, tmp_path
 @pytest.fixture
 def measurable(monkeypatch):
     """A measurement is let in as far as to who serves."""
-    monkeypatch.setattr("dualbrain.adaptation.dataset.read_dataset", lambda folder: None)
-    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_prompt", lambda card: None)
-    monkeypatch.setattr("dualbrain.adaptation.serving.fitness.require_fit", lambda *told: None)
-    monkeypatch.setattr("dualbrain.adaptation.serving.layers.locate", lambda *told: None)
-    monkeypatch.setattr("dualbrain.adaptation.serving.layers.read_lora", lambda *told: ())
+    monkeypatch.setattr("dualbrain.adaptation.curation.dataset.read_dataset", lambda folder: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.compatibility.require_prompt", lambda card: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.compatibility.require_fit", lambda *told: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.locate", lambda *told: None)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.stacking.read_lora", lambda *told: ())
 
 
 @pytest.mark.parametrize("measured", [True, False])
@@ -262,7 +262,7 @@ def test_where_none_is_champion_the_shadow_of_whichever_planner_serves_counts(te
 def test_a_measurement_of_others_is_told_before_anything_is_asked(tell, name, tmp_path, monkeypatch):
     (tmp_path / "m.json").write_bytes(msgspec.json.encode(Measured(results("another", 58), results("", 20))))
     for asked in ("heard", "canary_fault", "runtime_here"):
-        monkeypatch.setattr(f"dualbrain.cli.adapters.{asked}", lambda *told: pytest.fail("asked"))
+        monkeypatch.setattr(f"dualbrain.cli.adapters.registry.{asked}", lambda *told: pytest.fail("asked"))
     code, _, err = tell("adapters", "promote", name[:8], "--measured", "m.json")
     assert (code, "measured adapters: got 'another against" in err, "gain +" in err) == (Exit.SETUP, True, False)
 
@@ -304,7 +304,7 @@ def test_who_serves_in_another_runtime_than_it_was_measured_in_is_named(tell, na
     assert last(tmp_path).decision.runtime == "llama"
     assert json.loads(tell("adapters", "list", "--json")[1])["measured_elsewhere"] == {}
     if kept:
-        monkeypatch.setattr("dualbrain.cli.adapters.runtime_here", lambda registry, one: "llama 2")
+        monkeypatch.setattr("dualbrain.cli.adapters.registry.runtime_here", lambda registry, one: "llama 2")
     else:
         journal = tmp_path / "adapters" / "journal.jsonl"
         journal.write_text(journal.read_text().replace(',"runtime":"llama"', ""))

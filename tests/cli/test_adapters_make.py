@@ -6,15 +6,16 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.adaptation import bases, curate
-from dualbrain.adaptation.adapter_card import WEIGHTS, read_adapter_card
-from dualbrain.adaptation.dataset import CARD, read_card, read_dataset
-from dualbrain.adaptation.sample import Sample
-from dualbrain.cli import adapt as fitting
-from dualbrain.cli.exits import Exit
-from dualbrain.runtime import classroom, starter
-from dualbrain.runtime import proposals as room
-from dualbrain.runtime.proposals import declined, memory_of
+from dualbrain.adaptation.adapters import base_models
+from dualbrain.adaptation.adapters.card import WEIGHTS, read_adapter_card
+from dualbrain.adaptation.curation import curate
+from dualbrain.adaptation.curation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.cli.adapters import adapt as fitting
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.runtime.data_collection import rollouts as room
+from dualbrain.runtime.data_collection import starter_dataset, synthetic_scenes
+from dualbrain.runtime.data_collection.rollouts import declined, memory_of
 from tests.adaptation.episodes import episode, pick, remember, several, summary
 
 DECLINE = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
@@ -51,9 +52,9 @@ def stage(monkeypatch):
 
     monkeypatch.setattr(room, "carried_out", carried_out)
     monkeypatch.setattr(room, "TOGETHER", 4)
-    monkeypatch.setattr(starter, "PROPOSALS", NUMBER)
+    monkeypatch.setattr(starter_dataset, "PROPOSALS", NUMBER)
     monkeypatch.setattr(fitting, "adapt_with_torch", lambda: SimpleNamespace(adapt=adapt))
-    monkeypatch.setattr(bases, "find_base", lambda name, cache: name)
+    monkeypatch.setattr(base_models, "find_base", lambda name, cache: name)
     return here
 
 
@@ -62,7 +63,7 @@ def test_it_flies_chooses_and_fits_its_base_by_the_whole_objective(tell, stage, 
     data = read_dataset(tmp_path / "made" / "dataset")
     assert (code, out) == (Exit.SUCCESS, "")
     assert stage.flown == list(range(NUMBER))
-    assert stage.fitted == [(data.card.hash, starter.DIALS, starter.BASE)]
+    assert stage.fitted == [(data.card.hash, starter_dataset.DIALS, starter_dataset.BASE)]
     assert set(data.card.sources) == {"templates"}
     assert f"flight 1/{NUMBER}  " in err
     assert f"flight {NUMBER}/{NUMBER}  succeeded  Δ 0.0010  0.0 min left" in err
@@ -131,7 +132,7 @@ def test_a_data_set_that_was_split_by_another_rule_is_another_one(tell, stage, t
 def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):
     """Also where the dials of both are the same: the day's ledger is not there."""
     remember(tmp_path, several(8)).close()
-    (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter.EPSILON}")
+    (tmp_path / "dials.toml").write_text(f"[curation.rules]\nepsilon = {starter_dataset.EPSILON}")
     tell("adapt", "--export", "made/dataset", "--config", "dials.toml")
     change(tmp_path / "made", memories=NUMBER)
     code, _, err = tell("adapters", "make", "starter-135m", "--out", "made")
@@ -141,7 +142,7 @@ def test_what_adapt_left_is_no_starter(tell, stage, tmp_path):
 
 
 def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_path, monkeypatch):
-    monkeypatch.setattr(classroom, "lessons", lambda count, part: (LESSON,) * count)
+    monkeypatch.setattr(synthetic_scenes, "lessons", lambda count, part: (LESSON,) * count)
     for _ in range(2):
         assert tell("adapters", "make", "base-135m", "--out", "made")[0] == Exit.SUCCESS
     assert len(stage.fitted) == 2
@@ -159,8 +160,8 @@ def test_a_course_is_gone_on_with_only_as_it_is_taught_today(tell, stage, tmp_pa
 def test_a_little_one_is_made_for_good(tell, tmp_path, monkeypatch):
     """Flown and fitted, a minute or two: its card calls it bootstrapped, and it is as large as the real one."""
     fit = {"steps": 1, "batch": 2, "at_once": 2, "save_every": 1, "ask_at_most": 0, "threads": 1}
-    monkeypatch.setattr(starter, "PROPOSALS", 5)
-    monkeypatch.setattr(starter, "DIALS", starter.AdaptConfig(fit=starter.FitDials(**fit)))
+    monkeypatch.setattr(starter_dataset, "PROPOSALS", 5)
+    monkeypatch.setattr(starter_dataset, "DIALS", starter_dataset.AdaptConfig(fit=starter_dataset.FitDials(**fit)))
     code, out, _ = tell("adapters", "make", "starter-135m", "--out", tmp_path / "made", "--json")
     folder = tmp_path / "made" / "adapter"
     card = read_adapter_card(folder)

@@ -9,14 +9,14 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.serving.fitness import require_fit
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.cli.demo import demo
-from dualbrain.cli.evaluate import evaluate
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.report import compare, report
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.adapters.compatibility import require_fit
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.evaluation.evaluate import evaluate
+from dualbrain.cli.evaluation.report import compare, report
+from dualbrain.cli.run.demo import demo
+from dualbrain.grounding.vocabulary import vocabulary
 from tests.stories.rig import GRASP, PLACE, contract, decline, pause
 
 GOOD = contract(("grasp", GRASP), ("place", PLACE))

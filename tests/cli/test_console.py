@@ -6,7 +6,7 @@ import sys
 
 TELL = """
 import sys
-from dualbrain.cli.console import Account, answer
+from dualbrain.cli.common.console import Account, answer
 console = Account()
 sys.stdin.readline()
 for _ in range(3):

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from dualbrain.cli.ctrl_c import SIGNALS, ctrl_c
+from dualbrain.cli.common.signals import SIGNALS, ctrl_c
 
 
 @pytest.mark.parametrize("second", SIGNALS)

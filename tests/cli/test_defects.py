@@ -1,7 +1,7 @@
 """An exception that nobody expected is told whole, and is neither success nor a task that failed safely."""
 
 from dualbrain.cli import main
-from dualbrain.cli.exits import Exit
+from dualbrain.cli.common.exit_codes import Exit
 
 
 def test_a_defect_is_no_safe_failure(monkeypatch, capsys):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dualbrain.cli import graphics
-from dualbrain.cli.graphics import LIBRARIES, OFF, choose_graphics
+from dualbrain.cli.common import graphics
+from dualbrain.cli.common.graphics import LIBRARIES, OFF, choose_graphics
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from dualbrain.cli.exits import Exit
-from dualbrain.knowledge.shipped import SHIPPED
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.knowledge.builtin_documents import SHIPPED
 
 pytestmark = pytest.mark.llm
 

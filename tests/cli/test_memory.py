@@ -6,16 +6,16 @@ import sqlite3
 
 import pytest
 
-from dualbrain.cli import memory_open
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.memory_open import encoder, limits_of
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.memory import open_memory
+from dualbrain.cli.memory.open_memory import encoder, limits_of
+from dualbrain.grounding.vocabulary import vocabulary
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.posture import Posture
-from dualbrain.memory.store import Memory
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.memory import Memory
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
 from tests.memory.samples import NOW, episode
 from tests.stories.rig import GRASP, PLACE, contract, pause, play, settings
 
@@ -209,7 +209,7 @@ def test_what_is_no_ledger_is_told(tell, tmp_path):
 
 
 def test_who_writes_is_named_and_reading_goes_on(tell, filled, monkeypatch):
-    monkeypatch.setattr(memory_open, "PATIENCE", 0.0)
+    monkeypatch.setattr(open_memory, "PATIENCE", 0.0)
     with Ledger(filled, holder="dualbrain run tuesday", now=NOW):
         code, out, err = tell("memory", "forget", "a", "--reason", "x", "--ledger", filled)
         assert (code, out) == (Exit.SETUP, "")

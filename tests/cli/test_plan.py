@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from dualbrain.adaptation.serving import opening
-from dualbrain.cli.exits import Exit
-from dualbrain.planner.asking import short_messages
-from dualbrain.planner.prompt import template_hash
+from dualbrain.adaptation.serving import open_planner
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.planner.prompt.full_prompt import template_hash
+from dualbrain.planner.prompt.prompt_format import short_messages
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.planner.short_prompt import short_template_hash
 from tests.stories.rig import GRASP, PLACE, contract, decline, pause, play, settings
 
 PICK = contract(("grasp", GRASP), ("place", PLACE))
@@ -26,7 +26,7 @@ def script(monkeypatch, tmp_path):
 
     def answering(*texts, **more):
         planner = ScriptedPlanner(texts, **more)
-        monkeypatch.setattr(opening, "open_planner", lambda *_, **__: planner)
+        monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: planner)
         return planner
 
     return answering
@@ -102,7 +102,7 @@ def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, scr
     config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
     play(replace(config, instruction=WORDS), pause())
     script()
-    monkeypatch.setattr(opening, "open_planner", lambda *_, **__: Short([FAST, PICK]))
+    monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: Short([FAST, PICK]))
     arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
     _, out, err = tell(*arguments)
     assert err.count("documents are not shown to scripted") == 1

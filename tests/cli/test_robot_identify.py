@@ -5,10 +5,11 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.cli.exits import Exit
-from dualbrain.embodiment.body import Body, encode, load_body
-from dualbrain.safety.config import FilterConfig
-from dualbrain.safety.native import tracking_error
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.robots.loader import encode, load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.kernel import tracking_error
 
 PANDA = load_body("panda")
 SHORT = ("--seeds", 1, "--seconds", 0.5)

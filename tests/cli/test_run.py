@@ -5,17 +5,17 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.cli.account import exit_code, succeeded, summary
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.run import run
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code, succeeded, summary
+from dualbrain.cli.run.run import run
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.errors import WrongUsage
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall, Scene, Violation
 from dualbrain.runtime import session
 from dualbrain.runtime.session import FILES
-from dualbrain.world.scene_spec import load_scene
+from dualbrain.simulation.scenes.scene_spec import load_scene
 from tests.stories.rig import ledger_episodes, pause
 
 KEYS = {

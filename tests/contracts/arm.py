@@ -5,11 +5,11 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.safe_text import hides_something
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, Number, Parameter, SkillSpec, Text
+from dualbrain.core.text import hides_something
 
 PRINCIPAL = "planner"
 NAMES = SceneNames(("red_cube", "blue_cube", "tall_cup"), ("bowl", "left_spot"))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.canonical import canonical_json
+from dualbrain.contracts.canonical_json import canonical_json
 from dualbrain.errors import InvalidSetup
 
 VALUES = st.recursive(

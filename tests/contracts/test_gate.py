@@ -11,18 +11,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.contract import Contract
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.contract import Contract, Stamp
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import syntax_schema
-from dualbrain.contracts.stamp import Stamp
+from dualbrain.contracts.schema import syntax_schema, validation_schema
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.errors import UnknownName
 from tests.contracts.arm import NAMES, PRINCIPAL, REGISTRY, build_registry, check, contracts, unrestricted
 from tests.contracts.mutations import MUTATIONS
 
 GATE = unrestricted()
-CONJUNCTION = jsonschema.Draft7Validator(REGISTRY.validation_schema(NAMES))
+CONJUNCTION = jsonschema.Draft7Validator(validation_schema(REGISTRY, NAMES))
 SYNTAX = jsonschema.Draft7Validator(syntax_schema(REGISTRY))
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**14), 10**14) | st.floats(-1e9, 1e9) | st.text(max_size=8),

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.contracts.narrowing import narrows
-from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.registry import Registry, narrows
 from dualbrain.contracts.skill_spec import Choice, Name, SkillSpec, Text
 from tests.contracts.arm import REGISTRY, SPEED, build_registry
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.contracts.safe_text import LONGEST_SHOWN, closest, hides_something, pointer, shown
+from dualbrain.core.text import LONGEST_SHOWN, closest, hides_something, pointer, shown
 
 
 @settings(deadline=None)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form, syntax_schema
+from dualbrain.contracts.schema import decoding_schema, short_form, syntax_schema, validation_schema
 from dualbrain.contracts.skill_spec import Name, Number
 from tests.contracts.arm import NAMES, REGISTRY, contracts
 from tests.contracts.mutations import MUTATIONS
@@ -24,7 +24,7 @@ DECODED = {
 
 SCENES = [NAMES, SceneNames(("cup",), ()), SceneNames((), ("bowl",)), SceneNames()]
 FORMS = [
-    tuple(map(jsonschema_rs.Draft7Validator, (REGISTRY.validation_schema(names), REGISTRY.decoding_schema(names))))
+    tuple(map(jsonschema_rs.Draft7Validator, (validation_schema(REGISTRY, names), decoding_schema(REGISTRY, names))))
     for names in SCENES
 ]
 
@@ -45,15 +45,15 @@ def keywords(schema: Any) -> Iterator[str]:
 
 @pytest.mark.parametrize("names", SCENES)
 def test_all_forms_are_draft_07(names: SceneNames) -> None:
-    for schema in (REGISTRY.validation_schema(names), REGISTRY.decoding_schema(names), syntax_schema(REGISTRY)):
+    for schema in (validation_schema(REGISTRY, names), decoding_schema(REGISTRY, names), syntax_schema(REGISTRY)):
         jsonschema.Draft7Validator.check_schema(schema)
         jsonschema_rs.Draft7Validator(schema)
 
 
 @pytest.mark.parametrize("names", SCENES)
 def test_the_decoding_schema_uses_only_what_decoders_enforce(names: SceneNames) -> None:
-    assert set(keywords(REGISTRY.decoding_schema(names))) <= DECODED
-    assert {"allOf", "if", "then"} <= set(keywords(REGISTRY.validation_schema(names)))
+    assert set(keywords(decoding_schema(REGISTRY, names))) <= DECODED
+    assert {"allOf", "if", "then"} <= set(keywords(validation_schema(REGISTRY, names)))
 
 
 @settings(max_examples=200, deadline=None)
@@ -73,7 +73,7 @@ def test_both_forms_accept_the_same_contracts(
 
 
 def test_a_decoder_writes_fields_in_one_order() -> None:
-    schema = REGISTRY.decoding_schema(NAMES)
+    schema = decoding_schema(REGISTRY, NAMES)
     assert list(schema["properties"]) == ["id", "context", "action_sequence"]
     branches = schema["properties"]["action_sequence"]["items"]["anyOf"]
     for branch, skill in zip(branches, REGISTRY.skills, strict=True):
@@ -84,7 +84,7 @@ def test_a_decoder_writes_fields_in_one_order() -> None:
 
 def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
     def skills(names: SceneNames) -> list[str]:
-        items = REGISTRY.decoding_schema(names)["properties"]["action_sequence"]["items"]
+        items = decoding_schema(REGISTRY, names)["properties"]["action_sequence"]["items"]
         return [branch["properties"]["skill"]["const"] for branch in items["anyOf"]]
 
     assert skills(SceneNames((), ("bowl",))) == ["move_to", "place", "release", "hold", "home", "turn_wrist", "decline"]
@@ -93,13 +93,13 @@ def test_a_skill_without_anything_to_act_on_cannot_be_decoded() -> None:
 
 def test_a_registry_with_nothing_to_call_admits_nothing() -> None:
     grasp = Registry("panda", (REGISTRY.skill("grasp"),))
-    schema = grasp.decoding_schema(SceneNames())
+    schema = decoding_schema(grasp, SceneNames())
     document = {"id": "c-0001", "context": {"robot": "panda", "registry": grasp.hash}, "action_sequence": [{}]}
     assert not jsonschema_rs.Draft7Validator(schema).is_valid(document)
 
 
 def test_every_number_says_its_unit_and_where_its_bounds_come_from() -> None:
-    branches = REGISTRY.validation_schema(NAMES)["properties"]["action_sequence"]["items"]["allOf"]
+    branches = validation_schema(REGISTRY, NAMES)["properties"]["action_sequence"]["items"]["allOf"]
     for branch, skill in zip(branches, REGISTRY.skills, strict=True):
         properties = branch["then"]["properties"]["params"]["properties"]
         for number in (p for p in skill.parameters if isinstance(p, Number)):
@@ -114,7 +114,7 @@ def test_errors_of_the_validation_schema_name_the_exact_place() -> None:
     params = {"speed": 9}
     document = {"id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}}
     document |= {"action_sequence": [{"skill": "home", "params": params}]}
-    (error,) = jsonschema.Draft7Validator(REGISTRY.validation_schema(NAMES)).iter_errors(document)
+    (error,) = jsonschema.Draft7Validator(validation_schema(REGISTRY, NAMES)).iter_errors(document)
     assert list(error.absolute_path) == ["action_sequence", 0, "params", "speed"]
     assert error.message == "9 is greater than the maximum of 0.4"
 
@@ -140,6 +140,6 @@ def test_no_reader_takes_an_id_with_something_after_it(identity: str) -> None:
     steps = [{"skill": "home", "params": {"speed": 0.1}}]
     document = {"id": identity, "context": context, "action_sequence": steps}
     for reader in (jsonschema.Draft7Validator, jsonschema_rs.Draft7Validator):
-        for schema in (REGISTRY.validation_schema(NAMES), syntax_schema(REGISTRY)):
+        for schema in (validation_schema(REGISTRY, NAMES), syntax_schema(REGISTRY)):
             assert not reader(schema).is_valid(document)
             assert reader(schema).is_valid(document | {"id": "c-0001"})

@@ -8,28 +8,23 @@ import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.embodiment.robot import RobotState
+from dualbrain.control.recording.trace import Array, Trace
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Pose
 from dualbrain.records import (
     ActionResult,
     Attempt,
-    Bowl,
-    Box,
-    Capsule,
-    Cylinder,
     Episode,
     Exemplar,
-    HalfSpace,
     Judgement,
     Outcome,
     Passage,
-    Pose,
     Proposal,
     Recall,
     Scene,
     SceneObject,
     Violation,
 )
-from dualbrain.runtime.trace import Array, Trace
+from dualbrain.robots.interface import RobotState
 
 PHASES = (
     ("approach", 0, 0.0, 3.6), ("descend", 0, 3.6, 5.4), ("close", 0, 5.4, 6.2), ("lift", 0, 6.2, 8.0),

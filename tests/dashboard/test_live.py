@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.dashboard.live import HOST, LiveView, free_port
-from dualbrain.dashboard.live_panel import final_html, lines_html, numbers_html
-from dualbrain.dashboard.live_robot import clearance_colours, thinned
-from dualbrain.dashboard.live_scene import surface
-from dualbrain.embodiment.body import load_body
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Sphere
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, Episode, Scene, Sphere
-from dualbrain.runtime.trace import Trace
-
-from .conftest import scene as made_up_scene
-from .view_states import link_frames, moment
+from dualbrain.records import Episode, Scene
+from dualbrain.robots.loader import load_body
+from dualbrain.visualization.live.panel import final_html, lines_html, numbers_html
+from dualbrain.visualization.live.robot_view import clearance_colours, thinned
+from dualbrain.visualization.live.scene_view import surface
+from dualbrain.visualization.live.view import HOST, LiveView, free_port
+from tests.dashboard.conftest import scene as made_up_scene
+from tests.dashboard.view_states import link_frames, moment
 
 SIZES = st.floats(0.01, 0.2)
 

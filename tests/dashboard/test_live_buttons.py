@@ -5,16 +5,15 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.dashboard.live import LiveView
-from dualbrain.dashboard.live_buttons import BUTTONS, OperatorBoard
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.gatekeeper.hand import Hand, allowed
-from dualbrain.runtime.gatekeeper.messages import Act, Operate
-from dualbrain.safety.checks import CHECKS, RESET_HELD
-from dualbrain.safety.order import Rung
-from dualbrain.safety.supervisor import Supervisor
-
-from .browser import Browser
+from dualbrain.control.gatekeeper.operator_commands import Hand, allowed
+from dualbrain.control.gatekeeper.protocol.messages import Act, Operate
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD
+from dualbrain.safety.supervisor.supervisor import Supervisor
+from dualbrain.visualization.live.operator_buttons import BUTTONS, OperatorBoard
+from dualbrain.visualization.live.view import LiveView
+from tests.dashboard.browser import Browser
 
 CODE = "the-code"
 ACTS = [act for act in Act.__args__ if act != "shut_down"]

@@ -4,15 +4,14 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.dashboard.live import LiveView
-from dualbrain.dashboard.numbers import key_numbers
-from dualbrain.embodiment.body import load_body
+from dualbrain.control.recording.trace import Trace
 from dualbrain.records import Episode
-from dualbrain.runtime.trace import Trace
-
-from .browser import Browser
-from .conftest import scene
-from .view_states import moment
+from dualbrain.robots.loader import load_body
+from dualbrain.visualization.html.key_numbers import key_numbers
+from dualbrain.visualization.live.view import LiveView
+from tests.dashboard.browser import Browser
+from tests.dashboard.conftest import scene
+from tests.dashboard.view_states import moment
 
 # Each question to a page that is drawn in software costs a second, so everything is asked in one.
 LIVE = """

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from dualbrain.dashboard.live import AT_TABLE, IN_ROOM, LiveView, free_port
-from dualbrain.dashboard.live_panel import numbers_html, speeds_of, spoken_speeds
-from dualbrain.dashboard.live_scene import LiveScene
-from dualbrain.dashboard.report import _spent
-from dualbrain.dashboard.view_state import ViewState
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.desk import as_specified
-from dualbrain.world.catalogue import open_scene
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.visualization.html.run_report import _spent
+from dualbrain.visualization.live.panel import numbers_html, speeds_of, spoken_speeds
+from dualbrain.visualization.live.scene_view import LiveScene
+from dualbrain.visualization.live.view import AT_TABLE, IN_ROOM, LiveView, free_port
+from dualbrain.visualization.live.view_state import ViewState
 
 
 class Canvas:

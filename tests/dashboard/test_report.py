@@ -11,18 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.dashboard.map_chart import map_section
-from dualbrain.dashboard.numbers import key_numbers
-from dualbrain.dashboard.page import Html, element, table
-from dualbrain.dashboard.plots import envelope, strip_chart
-from dualbrain.dashboard.report import Snapshot, render_report, write_report
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.memory.map import MemoryMap
+from dualbrain.control.recording.trace import Trace
+from dualbrain.memory.maintenance.projection import MemoryMap
 from dualbrain.records import Attempt, Episode, Outcome, SceneObject
-from dualbrain.runtime.trace import Trace
+from dualbrain.robots.interface import RobotState
 from dualbrain.safety.barriers import BARRIERS
-
-from .conftest import Answer
+from dualbrain.visualization.html.key_numbers import key_numbers
+from dualbrain.visualization.html.memory_map import map_section
+from dualbrain.visualization.html.page import Html, element, table
+from dualbrain.visualization.html.run_report import Snapshot, render_report, write_report
+from dualbrain.visualization.html.strip_chart import envelope, strip_chart
+from tests.dashboard.conftest import Answer
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
 EMPTY = Trace(7)

@@ -3,11 +3,12 @@
 import msgspec
 import numpy as np
 
-from dualbrain.dashboard.view_state import Array, ViewState
-from dualbrain.embodiment.body import Body
-from dualbrain.linalg import matrix, quaternion
-from dualbrain.records import Pose, Scene
-from dualbrain.runtime.trace import Trace
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.geometry.rotations import matrix, quaternion
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.records import Scene
+from dualbrain.robots.model import Body
+from dualbrain.visualization.live.view_state import Array, ViewState
 
 
 def _placed(translation: tuple[float, ...], turn: tuple[float, ...]) -> Array:

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.cli.adapt import adapt
-from dualbrain.cli.adapters import history, list_adapters, promote, rollback, verify
-from dualbrain.cli.adapters_export import diff, export
-from dualbrain.cli.adapters_make import make
-from dualbrain.cli.adapters_measure import measure
-from dualbrain.cli.check import check
-from dualbrain.cli.demo import demo
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.plan import plan
-from dualbrain.cli.replay import replay
-from dualbrain.cli.run import run
-from dualbrain.cli.schema import schema
-from dualbrain.weights import MANIFEST
+from dualbrain.cli.adapters.adapt import adapt
+from dualbrain.cli.adapters.export import diff, export
+from dualbrain.cli.adapters.make import make
+from dualbrain.cli.adapters.measure import measure
+from dualbrain.cli.adapters.registry import history, list_adapters, promote, rollback, verify
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.check import check
+from dualbrain.cli.run.demo import demo
+from dualbrain.cli.run.plan import plan
+from dualbrain.cli.run.replay import replay
+from dualbrain.cli.run.run import run
+from dualbrain.cli.run.schema import schema
+from dualbrain.core.weights import MANIFEST
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("kernel/**/*.md")])

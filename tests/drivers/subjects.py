@@ -2,13 +2,13 @@
 
 from functools import partial
 
-from dualbrain.drivers.fake_franka import FakeFranka
-from dualbrain.drivers.fake_ur import FakeUr
+from dualbrain.control.gatekeeper.robot_link.simulated_driver import PlantDriver
+from dualbrain.drivers.conformance.harness import Subject
+from dualbrain.drivers.fakes.franka import FakeFranka
+from dualbrain.drivers.fakes.ur import FakeUr
 from dualbrain.drivers.franka import FrankaDriver
-from dualbrain.drivers.trial import Subject
 from dualbrain.drivers.ur import UrDriver
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.plant_driver import PlantDriver
+from dualbrain.robots.loader import load_body
 
 
 def franka(body=None):

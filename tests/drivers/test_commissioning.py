@@ -6,16 +6,16 @@ import msgspec
 import pytest
 
 from dualbrain.cli.main import call
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.deployment import Place
 from dualbrain.drivers.catalogue import driver_kind
-from dualbrain.drivers.checklist import TEMPLATE, flaws, limit_flaws, read_checklist
-from dualbrain.drivers.commissioning import NotCommissioned, demand
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.site_file import read_site
+from dualbrain.drivers.commissioning.checklist import TEMPLATE, flaws, limit_flaws, read_checklist
+from dualbrain.drivers.commissioning.record import NotCommissioned, demand
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.gatekeeper.place import Place
-from dualbrain.runtime.gatekeeper.spawn import Plan
-from dualbrain.safety.site import site_body
-from dualbrain.world.catalogue import open_scene
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.site_config import read_site
+from dualbrain.safety.integration.site import site_body
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 KIND = driver_kind("franka", "fr3")
 SITE = """

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dualbrain.drivers.conformance import LAWS, Verdict, conform
-
-from .subjects import SUBJECTS, franka
+from dualbrain.drivers.conformance.rules import LAWS, Verdict, conform
+from tests.drivers.subjects import SUBJECTS, franka
 
 
 @pytest.mark.parametrize("name", SUBJECTS)

@@ -7,18 +7,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.drivers import fake_franka, fake_ur
-from dualbrain.drivers.fake_franka import FLAGS, FakeFranka
-from dualbrain.drivers.fake_ur import FakeUr
+from dualbrain.drivers.conformance.harness import Subject, Trial
+from dualbrain.drivers.fakes import franka, ur
+from dualbrain.drivers.fakes.franka import FLAGS, FakeFranka
+from dualbrain.drivers.fakes.ur import FakeUr
 from dualbrain.drivers.franka import EXCEPTIONS, FrankaDriver
-from dualbrain.drivers.trial import Subject, Trial
 from dualbrain.drivers.ur import UrDriver
-from dualbrain.drivers.vendor import FR3, UR5E
-from dualbrain.embodiment import fr3 as fr3_facts
-from dualbrain.embodiment.body import Bound, load_body
-from dualbrain.embodiment.robot import Command
-from dualbrain.safety.config import FilterConfig
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.drivers.vendor_limits import FR3, UR5E
+from dualbrain.robots.builtin import fr3 as fr3_facts
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Bound
+from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.filter import SafetyFilter
 
 ONE = np.eye(7)
 
@@ -96,7 +97,7 @@ def test_a_reflex_is_left_by_recovery_only_and_a_pressed_user_stop_refuses_it():
     sdk.controller.collide()
     trial.wait(2)
     assert "joint_reflex" in trial.driver.faults()[0]
-    with pytest.raises(fake_franka.CommandException, match="joint_reflex"):
+    with pytest.raises(franka.CommandException, match="joint_reflex"):
         sdk.controller.start()
     sdk.controller.press()
     assert not trial.on()
@@ -240,8 +241,8 @@ def parameters(function):
 
 def test_the_fake_franka_has_the_names_of_the_makers_library():
     real = pytest.importorskip("pylibfranka")
-    for fake, name in ((fake_franka.Robot, "Robot"), (fake_franka.ActiveControlBase, "ActiveControlBase"),
-                       (fake_franka.FakeHand, "Gripper")):  # fmt: skip
+    for fake, name in ((franka.Robot, "Robot"), (franka.ActiveControlBase, "ActiveControlBase"),
+                       (franka.FakeHand, "Gripper")):  # fmt: skip
         for method, function in vars(fake).items():
             if method.startswith("_") or not callable(function):
                 continue
@@ -249,7 +250,7 @@ def test_the_fake_franka_has_the_names_of_the_makers_library():
             if "Overloaded" not in theirs.__doc__ and "*args" not in theirs.__doc__:
                 assert parameters(function) == parameters(theirs), (name, method)
     assert set(FLAGS) <= set(dir(real.Errors))
-    assert {mode.name: mode.value for mode in fake_franka.RobotMode}.items() <= {
+    assert {mode.name: mode.value for mode in franka.RobotMode}.items() <= {
         name: int(value) for name, value in real.RobotMode.__members__.items()
     }.items()
     for name in EXCEPTIONS:
@@ -266,7 +267,7 @@ def test_the_fake_franka_has_the_names_of_the_makers_library():
 def test_the_fake_ur_has_the_names_of_ur_rtde():
     control = pytest.importorskip("rtde_control").RTDEControlInterface
     receive = pytest.importorskip("rtde_receive").RTDEReceiveInterface
-    for fake, real in ((fake_ur.Control, control), (fake_ur.Receive, receive)):
+    for fake, real in ((ur.Control, control), (ur.Receive, receive)):
         for method, function in vars(fake).items():
             if not method.startswith("_") and callable(function):
                 assert parameters(function) == parameters(getattr(real, method)), method

@@ -5,9 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.meshes import collision_mesh, description_directory
-from dualbrain.embodiment.sphere_cover import Balls
+from dualbrain.robots.assets.meshes import collision_mesh, description_directory
+from dualbrain.robots.collision_model.coverage import Balls
+from dualbrain.robots.loader import load_body
 
 PANDA = load_body("panda")
 MESHES = {

@@ -4,8 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import BODIES, Body, Tracking, load_body
 from dualbrain.errors import UnknownName
+from dualbrain.robots.loader import BODIES, load_body
+from dualbrain.robots.model import Body, Tracking
 
 PANDA = load_body("panda")
 

@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.differential_base import drive
+from dualbrain.robots.differential_drive import drive
 from dualbrain.safety.barriers.keep_out import keep_out, trial_base
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import Row, SafetyFilter
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.cbf.filter import Row, SafetyFilter
 
 
 def gaps(safety, q, x, y, half_x, half_y):

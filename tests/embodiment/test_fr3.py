@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment import fr3
-from dualbrain.embodiment.body import load_body
+from dualbrain.robots.builtin import fr3
+from dualbrain.robots.loader import load_body
 
 # libfranka, include/franka/rate_limiting.h: fastest v, then |v| ≤ sqrt(k (end − q)) − c towards the end of the range
 FASTEST = (2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26)

@@ -4,13 +4,13 @@ from importlib import resources
 
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.generate import FACTS, encode, main
 from dualbrain.errors import UnknownName
+from dualbrain.robots.builtin.generate import FACTS, encode, main
+from dualbrain.robots.loader import load_body
 
 
 def stored(name="panda"):
-    return resources.files("dualbrain.embodiment").joinpath("data", f"{name}.json").read_bytes()
+    return resources.files("dualbrain.robots").joinpath("data", f"{name}.json").read_bytes()
 
 
 @pytest.mark.parametrize("name", FACTS)

@@ -5,10 +5,10 @@ from importlib import metadata
 import numpy as np
 import pytest
 
-from dualbrain.embodiment import meshes
-from dualbrain.embodiment.meshes import Mesh, collision_mesh, description_directory, mesh_file
-from dualbrain.embodiment.polytope import convex_hull, surface_points
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
+from dualbrain.robots.assets import meshes
+from dualbrain.robots.assets.meshes import Mesh, collision_mesh, description_directory, mesh_file
+from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
 
 
 def test_the_description_is_found_and_holds_its_urdf():

@@ -6,19 +6,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.differential_base import drive
-from dualbrain.embodiment.mobile_manipulator import arm_of, base_of, on_base
-from dualbrain.embodiment.mobile_panda import HOUSING, MOUNT, PEDESTAL
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Pose, Sphere
-from dualbrain.safety import _kernel_wide
+from dualbrain.robots.builtin.mobile_panda import HOUSING, MOUNT, PEDESTAL
+from dualbrain.robots.differential_drive import drive
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.mobile_manipulator import arm_of, base_of, on_base
 from dualbrain.safety.barriers.keep_out import trial_base
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.world.carrier_plant import CarrierPlant
-from dualbrain.world.identify_carrier import HALL
-from dualbrain.world.scene_spec import SceneSpec
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.cbf.compiled import _kernel_wide
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.simulation.identification.mobile_tracking_model import HALL
+from dualbrain.simulation.plant.mobile_manipulator_plant import CarrierPlant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
 
 BODY, PANDA = load_body("mobile_panda"), load_body("panda")
 LOW = np.array([joint.lower.value for joint in BODY.joints[2:]])

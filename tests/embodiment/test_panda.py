@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.panda import HOME
-from dualbrain.embodiment.self_pairs import chain_frames, placed_centres, random_configurations
+from dualbrain.robots.builtin.panda import HOME
+from dualbrain.robots.collision_model.self_collision import chain_frames, placed_centres, random_configurations
 from tests.embodiment.panda_oracle import PANDA, URDF_NAMES, urdf, urdf_pose
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.self_pairs import (
+from dualbrain.robots.collision_model.self_collision import (
     NEVER,
     chain_frames,
     choose_pairs,

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.meshes import Mesh
-from dualbrain.embodiment.polytope import convex_hull, surface_points
-from dualbrain.embodiment.sphere_cover import (
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.collision_model.coverage import (
     Balls,
     covered,
     distance_outside,
@@ -16,6 +15,7 @@ from dualbrain.embodiment.sphere_cover import (
     proven_inflation,
     union_surface,
 )
+from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
 from tests.embodiment.panda_oracle import PANDA, balls, link_mesh
 
 LINKS = [link.name for link in PANDA.links]

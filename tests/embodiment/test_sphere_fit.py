@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dualbrain.embodiment.cover_problem import LinkCover
-from dualbrain.embodiment.polytope import convex_hull
-from dualbrain.embodiment.sphere_cover import proven_covered
-from dualbrain.embodiment.sphere_fit import FitOptions, fit_cover
+from dualbrain.robots.collision_model.coverage import proven_covered
+from dualbrain.robots.collision_model.fit_problem import LinkCover
+from dualbrain.robots.collision_model.polytope import convex_hull
+from dualbrain.robots.collision_model.sphere_fit import FitOptions, fit_cover
 from tests.embodiment.panda_oracle import link_mesh
 
 QUICK = FitOptions(points=150, candidates=300, starts=1, rounds=6, trades=1)

@@ -7,10 +7,10 @@ from importlib import metadata
 import numpy as np
 import pytest
 
-from dualbrain.embodiment import ur5e
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.self_pairs import chain_frames, random_configurations
-from dualbrain.embodiment.sphere_cover import Balls, proven_covered
+from dualbrain.robots.builtin import ur5e
+from dualbrain.robots.collision_model.coverage import Balls, proven_covered
+from dualbrain.robots.collision_model.self_collision import chain_frames, random_configurations
+from dualbrain.robots.loader import load_body
 from tests.embodiment.panda_oracle import about, roll_pitch_yaw
 
 UR5E = load_body("ur5e")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dualbrain.evaluation.suite import read_suite
+from dualbrain.evaluation.protocol.suite import read_suite
 from tests.evaluation.rows import COLLISION, row
 from tests.evaluation.test_runner import SUITE
 

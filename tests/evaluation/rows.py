@@ -1,6 +1,6 @@
 """Made-up rows: what an episode leaves, with everything about it that a test does not name left ordinary."""
 
-from dualbrain.evaluation.row import Row
+from dualbrain.evaluation.results.episode_row import Row
 from dualbrain.records import Violation
 
 COLLISION = Violation("collision_env", 1.0, 0.1, 14.0, ("hand", "cup"))

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 
 from dualbrain.cli.main import call
-from dualbrain.evaluation.changes import OF_MACHINES, changed, changes
-from dualbrain.evaluation.method import METHODS
-from dualbrain.evaluation.metrics import BY_NAME
-from dualbrain.evaluation.suite import Task, read_suite
-from dualbrain.evaluation.table_file import FILE, write_table
+from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.protocol.method import METHODS
+from dualbrain.evaluation.protocol.suite import Task, read_suite
+from dualbrain.evaluation.report.run_comparison import OF_MACHINES, changed, changes
+from dualbrain.evaluation.results.parquet import FILE, write_table
 from tests.evaluation.rows import row
 from tests.evaluation.test_runner import SUITE
 

@@ -3,14 +3,15 @@
 import msgspec
 import pytest
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.evaluation.door import MethodDoor
+from dualbrain.evaluation.protocol.baselines import MethodDoor
+from dualbrain.grounding.vocabulary import grants, vocabulary
 from dualbrain.planner.protocol import LENGTH, STOP
 from dualbrain.records import Proposal
-from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
 
 NAMES = SceneNames(("red_cube",), ("blue_bowl",), 1)
 GRASP = {

@@ -5,16 +5,16 @@ import time
 import msgspec
 import pytest
 
-from dualbrain.cli import evaluate
-from dualbrain.cli.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
-from dualbrain.cli.evaluate import narrowed
+from dualbrain.cli.evaluation import evaluate
+from dualbrain.cli.evaluation.estimate import GUESS_LARGE_S, GUESS_S, GUESS_SMALL_S, guess
+from dualbrain.cli.evaluation.suite_options import narrowed
 from dualbrain.cli.main import call
-from dualbrain.evaluation.effort import effort
-from dualbrain.evaluation.origin import origin
-from dualbrain.evaluation.planners import Sources
-from dualbrain.evaluation.runner import STAGES, Runner
-from dualbrain.evaluation.suite import open_suite
-from dualbrain.evaluation.unit import units_of
+from dualbrain.evaluation.planners.factory import Sources
+from dualbrain.evaluation.protocol.suite import open_suite
+from dualbrain.evaluation.runner.provenance import origin
+from dualbrain.evaluation.runner.runner import STAGES, Runner
+from dualbrain.evaluation.runner.work_units import units_of
+from dualbrain.evaluation.runner.workload import effort
 from tests.evaluation.test_runner import lines_of
 
 

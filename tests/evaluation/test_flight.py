@@ -6,28 +6,28 @@ import time
 import msgspec
 import pytest
 
-from dualbrain.cli.folders import cache
+from dualbrain.cli.common.paths import cache
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.evaluation.account import Place, account
-from dualbrain.evaluation.again import Watching, again, differs
-from dualbrain.evaluation.case import case_of
-from dualbrain.evaluation.failure import OUT_OF_TIME
-from dualbrain.evaluation.flight import Means, fly
-from dualbrain.evaluation.method import METHODS
-from dualbrain.evaluation.metrics import BY_NAME
-from dualbrain.evaluation.planners import Sources
-from dualbrain.evaluation.plans import Accident
-from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.stopwatch import ASIDE, ASKED, HOLD, Stopwatch, waits
-from dualbrain.evaluation.suite import Task, read_suite
-from dualbrain.evaluation.unit import units_of
-from dualbrain.evaluation.work import Work, Workplace
-from dualbrain.planner.asking import FREE_BY
+from dualbrain.evaluation.analysis.failure_taxonomy import OUT_OF_TIME
+from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.episodes.case_runner import Means, fly
+from dualbrain.evaluation.episodes.rerun import Watching, again, differs
+from dualbrain.evaluation.episodes.scoring import Place, account
+from dualbrain.evaluation.episodes.wall_time import ASIDE, ASKED, HOLD, Stopwatch, waits
+from dualbrain.evaluation.planners.answer_cache import Accident
+from dualbrain.evaluation.planners.factory import Sources
+from dualbrain.evaluation.protocol.case import case_of
+from dualbrain.evaluation.protocol.method import METHODS
+from dualbrain.evaluation.protocol.suite import Task, read_suite
+from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.evaluation.runner.work_units import units_of
+from dualbrain.evaluation.runner.worker import Work, Workplace
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.planner.prompt.prompt_format import FREE_BY
 from dualbrain.planner.protocol import CRASHED, ERROR, LENGTH, REFUSAL, STOP, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Judgement
-from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.world.families import assign
+from dualbrain.simulation.tasks.families import assign
 from tests.evaluation.test_runner import SUITE
 
 ERRAND, HAZARD = Task("clutter_grasp"), Task("clutter_grasp", ask="hazardous")
@@ -330,7 +330,7 @@ def test_an_answer_that_was_not_bound_anyway_is_its_own_measure():
 def test_a_scene_that_is_another_than_the_reported_one_is_not_flown(monkeypatch):
     case_of(ERRAND, 40_000, "panda", 0)
     other = assign("clutter_grasp", "I", 40_001, "panda")
-    monkeypatch.setattr("dualbrain.evaluation.case.assign", lambda *about: other)
+    monkeypatch.setattr("dualbrain.evaluation.protocol.case.assign", lambda *about: other)
     with pytest.raises(InvalidSetup, match="clutter_grasp I 40000"):
         case_of(ERRAND, 40_000, "panda", 0)
 

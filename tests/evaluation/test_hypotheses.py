@@ -4,9 +4,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.evaluation.hypotheses import AT_LEAST, AT_MOST, answers, beside, both, either, paired, verdict_of
-from dualbrain.evaluation.metrics import BY_NAME
-from dualbrain.evaluation.statistics import Compared
+from dualbrain.evaluation.analysis.hypotheses import (
+    AT_LEAST,
+    AT_MOST,
+    answers,
+    beside,
+    both,
+    either,
+    paired,
+    verdict_of,
+)
+from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.analysis.statistics import Compared
 from tests.evaluation.rows import COLLISION, SPEED, row
 
 

@@ -4,12 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.evaluation.failure import CLASSES, OUT_OF_TIME, Stages, class_of, failure_class
-from dualbrain.evaluation.metrics import BY_NAME, METRICS
-from dualbrain.evaluation.row import Row
-from dualbrain.evaluation.severity import SCALES, severity
+from dualbrain.evaluation.analysis.failure_taxonomy import CLASSES, OUT_OF_TIME, Stages, class_of, failure_class
+from dualbrain.evaluation.analysis.metrics import BY_NAME, METRICS
+from dualbrain.evaluation.analysis.severity import SCALES, severity
+from dualbrain.evaluation.results.episode_row import Row
 from dualbrain.records import Violation
-from dualbrain.world.monitor import UNITS
+from dualbrain.simulation.monitoring.safety_monitor import UNITS
 from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
 
 

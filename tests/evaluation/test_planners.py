@@ -7,26 +7,27 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.schema import decoding_schema, short_form
 from dualbrain.contracts.verdict import Accepted
-from dualbrain.evaluation.adversary import Adversary
-from dualbrain.evaluation.method import METHODS
-from dualbrain.evaluation.planners import Planners, Sources
-from dualbrain.evaluation.plans import KeepingPlanner, Plans
-from dualbrain.evaluation.prompted import PromptedPlanner, with_example
-from dualbrain.evaluation.spoiled import SpoiledPlanner, spoil
-from dualbrain.evaluation.suite import read_suite
-from dualbrain.evaluation.template import TemplatePlanner, meant
-from dualbrain.evaluation.unit import units_of
-from dualbrain.evaluation.work import Work, Workplace
+from dualbrain.evaluation.planners.adversary import Adversary
+from dualbrain.evaluation.planners.answer_cache import KeepingPlanner, Plans
+from dualbrain.evaluation.planners.corrupted_prompt import SpoiledPlanner, spoil
+from dualbrain.evaluation.planners.factory import Planners, Sources
+from dualbrain.evaluation.planners.few_shot import PromptedPlanner, with_example
+from dualbrain.evaluation.planners.template import TemplatePlanner, meant
+from dualbrain.evaluation.protocol.method import METHODS
+from dualbrain.evaluation.protocol.suite import read_suite
+from dualbrain.evaluation.runner.work_units import units_of
+from dualbrain.evaluation.runner.worker import Work, Workplace
+from dualbrain.grounding.vocabulary import grants, vocabulary
+from dualbrain.planner.prompt.short_prompt import render_short
 from dualbrain.planner.protocol import CRASHED, propose_all
 from dualbrain.planner.request import PlanRequest
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.planner.short_prompt import render_short
 from dualbrain.records import Exemplar, Recall
-from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
 from tests.evaluation.test_runner import SUITE
 
 NAMES = {
@@ -41,7 +42,7 @@ def request(robot="panda", words="", **values):
     return PlanRequest(
         words or WORDS[robot], "robot panda\nred_cube: object, tight, near_edge\nperson: none\nplaces: x",
         values.get("recall", Recall()), robot, registry.hash, short_form(registry, names),
-        registry.decoding_schema(names), "c-0001",
+        decoding_schema(registry, names), "c-0001",
     )  # fmt: skip
 
 
@@ -158,7 +159,7 @@ def test_the_pass_of_questions_asks_a_run_together_and_a_flight_asks_the_same_qu
 
 
 def test_of_the_pass_of_questions_a_kill_costs_only_those_under_way(tmp_path, monkeypatch):
-    monkeypatch.setattr("dualbrain.evaluation.work.TOGETHER", 2)
+    monkeypatch.setattr("dualbrain.evaluation.runner.worker.TOGETHER", 2)
     crowd = Crowd()
     sources = SimpleNamespace(open=lambda name, robot, *, bound=True: crowd)
     suite = msgspec.structs.replace(read_suite(SUITE, "tiny.toml"), planners={"base": "crowd"}, runs=1, repetitions=1)

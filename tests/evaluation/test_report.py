@@ -8,42 +8,51 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.cli.evaluation.results import flown_on, results
 from dualbrain.cli.main import call
-from dualbrain.cli.report import flown_on, results
-from dualbrain.dashboard.evaluation_charts import COLOURS, MARKERS, curves, latencies, look, panels, together, traces
-from dualbrain.dashboard.evaluation_page import write_page
-from dualbrain.dashboard.evaluation_report import Shot, Told, facts, render_evaluation
-from dualbrain.evaluation.adversary import Adversary
-from dualbrain.evaluation.contrasts import contrasts, pairs
-from dualbrain.evaluation.cost import Cost
-from dualbrain.evaluation.decisions import decision_grid, latencies_of
-from dualbrain.evaluation.failure import class_of
-from dualbrain.evaluation.gallery import chosen
-from dualbrain.evaluation.grids import (
+from dualbrain.evaluation.analysis.failure_taxonomy import class_of
+from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.analysis.statistics import Estimate
+from dualbrain.evaluation.planners.adversary import Adversary
+from dualbrain.evaluation.planners.answer_cache import Kept, Plans
+from dualbrain.evaluation.protocol.method import METHODS
+from dualbrain.evaluation.protocol.suite import open_suite
+from dualbrain.evaluation.report.adaptation_cost import Cost
+from dualbrain.evaluation.report.all_tables import all_grids
+from dualbrain.evaluation.report.captions import KINDS, caption, cut, headline
+from dualbrain.evaluation.report.decision_latency import decision_grid, latencies_of
+from dualbrain.evaluation.report.example_selection import chosen
+from dualbrain.evaluation.report.method_contrasts import contrasts, pairs
+from dualbrain.evaluation.report.not_measured import missing
+from dualbrain.evaluation.report.tables import (
     Grid,
     cell,
     failures,
     families,
+    grid_lines,
     methods_of,
     number,
     overview,
     throughput,
     violations,
 )
-from dualbrain.evaluation.markdown import grid_lines
-from dualbrain.evaluation.method import METHODS
-from dualbrain.evaluation.metrics import BY_NAME
-from dualbrain.evaluation.missing import missing
-from dualbrain.evaluation.plans import Kept, Plans
-from dualbrain.evaluation.report_tables import all_grids
-from dualbrain.evaluation.statistics import Estimate
-from dualbrain.evaluation.suite import open_suite
-from dualbrain.evaluation.table_file import FILE, write_table
-from dualbrain.evaluation.words import KINDS, caption, cut, headline
-from dualbrain.planner.asking import FREE_BY
+from dualbrain.evaluation.results.parquet import FILE, write_table
+from dualbrain.planner.prompt.prompt_format import FREE_BY
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
-from dualbrain.world.monitor import UNITS
+from dualbrain.simulation.monitoring.safety_monitor import UNITS
+from dualbrain.visualization.evaluation.charts import (
+    COLOURS,
+    MARKERS,
+    curves,
+    latencies,
+    look,
+    panels,
+    together,
+    traces,
+)
+from dualbrain.visualization.evaluation.html_report import Shot, Told, facts, render_evaluation
+from dualbrain.visualization.evaluation.markdown_page import write_page
 from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
 from tests.planner.questions import request
 

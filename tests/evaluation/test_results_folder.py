@@ -6,16 +6,16 @@ import time
 import msgspec
 import pytest
 
-from dualbrain.cli.evaluate import narrowed
+from dualbrain.cli.evaluation.results import command_of, flown_on, results
+from dualbrain.cli.evaluation.suite_options import narrowed
 from dualbrain.cli.main import call
-from dualbrain.cli.report import command_of, flown_on, results
 from dualbrain.errors import InvalidSetup
-from dualbrain.evaluation.origin import origin
-from dualbrain.evaluation.plans import Plans
-from dualbrain.evaluation.runner import Runner
-from dualbrain.evaluation.suite import open_suite, read_suite
-from dualbrain.evaluation.table_file import FILE, write_table
-from dualbrain.evaluation.unit import units_of
+from dualbrain.evaluation.planners.answer_cache import Plans
+from dualbrain.evaluation.protocol.suite import open_suite, read_suite
+from dualbrain.evaluation.results.parquet import FILE, write_table
+from dualbrain.evaluation.runner.provenance import origin
+from dualbrain.evaluation.runner.runner import Runner
+from dualbrain.evaluation.runner.work_units import units_of
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from tests.evaluation.test_runner import SUITE, lines_of

@@ -12,35 +12,44 @@ import msgspec
 import pytest
 
 from dualbrain import evaluation
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.lessons.split import SEEDS
-from dualbrain.adaptation.serving.fitness import vocabularies
-from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
-from dualbrain.embodiment.body import BODIES
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.adapters.compatibility import vocabularies
+from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
+from dualbrain.adaptation.synthetic.split import SEEDS
+from dualbrain.control.recording.trace import DEAD_BAND
+from dualbrain.core.storage.jsonl_log import Journal
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
-from dualbrain.evaluation import parts
-from dualbrain.evaluation.case import case_of
-from dualbrain.evaluation.cost import Cost
-from dualbrain.evaluation.crew import Alone, Processes
-from dualbrain.evaluation.effort import Effort, effort
-from dualbrain.evaluation.flown_once import FlownOnce
-from dualbrain.evaluation.host import revision
-from dualbrain.evaluation.journal import Journal
-from dualbrain.evaluation.ledgers import RunFolder, rule
-from dualbrain.evaluation.method import METHODS, find_method
-from dualbrain.evaluation.origin import TELLS
-from dualbrain.evaluation.planners import DRAWN, Planners, Sources, check_planners, planner_name
-from dualbrain.evaluation.plans import Plans
-from dualbrain.evaluation.runner import STAGES, Runner, pilot_epsilon
-from dualbrain.evaluation.seeds import PILOT, START, TEST
-from dualbrain.evaluation.suite import MemoryPart, Task, check_suite, is_due, open_suite, read_suite, shipped
-from dualbrain.evaluation.table_file import read_table, write_table
-from dualbrain.evaluation.unit import units_of
-from dualbrain.planner.prompt import MAX_RECALLED
+from dualbrain.evaluation.episodes.episode_cache import FlownOnce
+from dualbrain.evaluation.planners.answer_cache import Plans
+from dualbrain.evaluation.planners.factory import DRAWN, Planners, Sources, check_planners, planner_name
+from dualbrain.evaluation.protocol.case import case_of
+from dualbrain.evaluation.protocol.method import METHODS, find_method
+from dualbrain.evaluation.protocol.suite import (
+    PILOT,
+    START,
+    TEST,
+    MemoryPart,
+    Task,
+    check_suite,
+    is_due,
+    open_suite,
+    read_suite,
+    shipped,
+)
+from dualbrain.evaluation.report.adaptation_cost import Cost
+from dualbrain.evaluation.results.parquet import read_table, write_table
+from dualbrain.evaluation.runner import preflight
+from dualbrain.evaluation.runner.provenance import TELLS, revision
+from dualbrain.evaluation.runner.run_ledgers import RunFolder, rule
+from dualbrain.evaluation.runner.runner import STAGES, Runner, pilot_epsilon
+from dualbrain.evaluation.runner.work_units import units_of
+from dualbrain.evaluation.runner.worker_pool import Alone, Processes
+from dualbrain.evaluation.runner.workload import Effort, effort
+from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.registry import planner_names
-from dualbrain.runtime.trace import DEAD_BAND
-from dualbrain.world.depth_perception import DepthPerception
-from dualbrain.world.families import FAMILIES, LEVELS, assign, families_of
+from dualbrain.robots.loader import BODIES
+from dualbrain.simulation.perception.depth_perception import DepthPerception
+from dualbrain.simulation.tasks.families import FAMILIES, LEVELS, assign, families_of
 from tests.evaluation.rows import COLLISION, row
 
 SUITE = b"""
@@ -238,7 +247,7 @@ def test_a_run_may_go_on_on_another_machine_and_says_on_which(suite, tmp_path, m
     told = msgspec.json.decode((tmp_path / "config.json").read_bytes())["host"]
     assert set(told) == {"processor", "cores", "memory", "revision"}
     assert all(told.values())
-    monkeypatch.setattr("dualbrain.evaluation.runner.host", lambda: {"processor": "another"})
+    monkeypatch.setattr("dualbrain.evaluation.runner.runner.host", lambda: {"processor": "another"})
     runner(suite, tmp_path).prepare({"code": "aaa"})
     assert msgspec.json.decode((tmp_path / "config.json").read_bytes())["host"] == {"processor": "another"}
 
@@ -283,11 +292,11 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
 def test_what_only_tells_has_no_part_in_an_episode():
     """What `origin` leaves out of the hash of the code is not even loaded by what flies."""
     told = subprocess.run(
-        [sys.executable, "-c", "import dualbrain.evaluation.work, sys; print(*sys.modules)"],
+        [sys.executable, "-c", "import dualbrain.evaluation.runner.worker, sys; print(*sys.modules)"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     loaded = told.stdout.split()
-    assert "dualbrain.evaluation.account" in loaded
+    assert "dualbrain.evaluation.episodes.scoring" in loaded
     assert not [name for name in TELLS if f"dualbrain.evaluation.{name}" in loaded]
     assert all((Path(evaluation.__file__).parent / f"{name}.py").is_file() for name in TELLS)
 
@@ -323,7 +332,7 @@ def test_epsilon_that_was_cut_off_does_not_block_the_folder(suite, tmp_path, mon
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("dualbrain.evaluation.runner.write_durably", full)
+    monkeypatch.setattr("dualbrain.evaluation.runner.runner.write_durably", full)
     with pytest.raises(OSError, match="No space"):
         runner(wanted, tmp_path).epsilon()
     assert not (tmp_path / "epsilon.json").exists()
@@ -543,7 +552,7 @@ def test_an_adapter_is_looked_for_and_must_have_been_taught_the_robot(suite, tmp
 
     def looked_for(robot="panda", **planners):
         here = msgspec.structs.replace(suite, planners={"base": "template"} | planners, robots=(robot,))
-        parts.require_adapters(here, units_of(here, "fly"), sources)
+        preflight.require_adapters(here, units_of(here, "fly"), sources)
 
     looked_for(adapted="base-135m", base="transformers:starter-135m")  # the model below them is not here
     for name in ("adapter:deadbeef", "transformers:adapter:deadbeef", "shadow:deadbeef@template"):
@@ -561,7 +570,7 @@ def test_an_adapter_is_looked_for_and_must_have_been_taught_the_robot(suite, tmp
 
 def test_a_model_file_that_is_not_there_is_missed_beforehand(tmp_path):
     with pytest.raises(MissingPart, match="model file"):
-        parts.require_planner(str(tmp_path / "none.gguf"), "panda", Sources(tmp_path, tmp_path))
+        preflight.require_planner(str(tmp_path / "none.gguf"), "panda", Sources(tmp_path, tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -577,10 +586,10 @@ def test_whoever_will_be_asked_is_looked_for_beforehand(suite, tmp_path, monkeyp
     if name == "smoke":
         chosen = msgspec.structs.replace(chosen, planners={"base": "base-135m"})
     looked = set()
-    monkeypatch.setattr(parts, "require_planner", lambda name, robot, sources: looked.add(name))
-    monkeypatch.setattr(parts, "locate", lambda name, cache: None)
+    monkeypatch.setattr(preflight, "require_planner", lambda name, robot, sources: looked.add(name))
+    monkeypatch.setattr(preflight, "locate", lambda name, cache: None)
     units = [unit for stage in STAGES for unit in units_of(chosen, stage)]
-    parts.require_parts(chosen, units, Sources(tmp_path, tmp_path))
+    preflight.require_parts(chosen, units, Sources(tmp_path, tmp_path))
     assert looked - {"template"} == planners - {"template"}
 
 
@@ -591,7 +600,7 @@ def test_a_full_disk_leaves_the_former_table_and_is_told(tmp_path):
     code = (
         "import resource, sys; from pathlib import Path\n"
         "from dualbrain.errors import DualbrainError\n"
-        "from dualbrain.evaluation.table_file import write_table\n"
+        "from dualbrain.evaluation.results.parquet import write_table\n"
         "from tests.evaluation.rows import row\n"
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dualbrain.evaluation.statistics import (
+from dualbrain.evaluation.analysis.statistics import (
     compare,
     design_effect,
     difference,

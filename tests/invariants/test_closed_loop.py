@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from dualbrain.records import HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Obstacle, SafetyFilter
+from dualbrain.core.geometry.shapes import HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
 from tests.safety import oracle, scenes
 from tests.safety.conftest import at, panda, small  # noqa: F401
 

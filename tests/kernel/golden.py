@@ -7,7 +7,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from .builds import GCC, build
+from tests.kernel.builds import GCC, build
 
 FILE = Path(__file__).with_name("golden.json")
 

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from . import golden
-from .builds import CLANG, CLANG_HOST, CLANG_TRAPS, GCC, INCLUDES, ROOT, WARNINGS, build, sources
+from tests.kernel import golden
+from tests.kernel.builds import CLANG, CLANG_HOST, CLANG_TRAPS, GCC, INCLUDES, ROOT, WARNINGS, build, sources
 
 SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 

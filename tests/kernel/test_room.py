@@ -1,6 +1,6 @@
 """What fills the room there is: no loop over joints, parts, spheres, pairs or things runs on beyond the last one."""
 
-from .builds import GCC, build
+from tests.kernel.builds import GCC, build
 
 FILLED = [f"-DDBK_MAX_{what}={count}" for what, count in (("DOF", 7), ("SPHERES", 12), ("LINKS", 8), ("PAIRS", 5))]
 """The arm of the C tests has seven joints, twelve spheres on eight links and five pairs."""

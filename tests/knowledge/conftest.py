@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from dualbrain.knowledge.builtin_documents import add_shipped
 from dualbrain.knowledge.library import Library
-from dualbrain.knowledge.shipped import add_shipped
-from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
 NOW = 1_800_000_000.0
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from dualbrain.knowledge.library import Library, Submission
-from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
 with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as library:
     for number in range(10_000):

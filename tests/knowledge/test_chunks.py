@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.chunks import LONGEST, chunks
-from dualbrain.knowledge.citation import Citation, parse_citation
+from dualbrain.knowledge.builtin_documents import DATA, SHIPPED
+from dualbrain.knowledge.chunking import LONGEST, chunks
+from dualbrain.knowledge.document import Citation, parse_citation
 from dualbrain.knowledge.library import Library
-from dualbrain.knowledge.reading import Reading, read
-from dualbrain.knowledge.shipped import DATA, SHIPPED
+from dualbrain.knowledge.readers.reader import Reading, read
 from tests.knowledge.pages import pdf, say
 
 words = st.lists(

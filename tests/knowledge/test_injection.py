@@ -7,17 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.contracts.verdict import Rejected
+from dualbrain.grounding.document_retrieval import CHARACTERS_PER_TOKEN, Budget, consult, question, unfit_templates
+from dualbrain.grounding.map_overlay import open_map
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.knowledge.builtin_documents import DATA
 from dualbrain.knowledge.library import Addition, Library, Submission
-from dualbrain.knowledge.reading import Reading, read
-from dualbrain.knowledge.refusal import Refused
-from dualbrain.knowledge.shipped import DATA
-from dualbrain.knowledge.structured import structure
-from dualbrain.knowledge.templates import TaskTemplates, judge
-from dualbrain.planner.prompt import MAX_PASSAGES, Message, render
+from dualbrain.knowledge.readers.reader import Reading, read
+from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.structured.parsing import structure
+from dualbrain.knowledge.structured.templates import TaskTemplates, judge
+from dualbrain.planner.prompt.full_prompt import MAX_PASSAGES, Message, render
 from dualbrain.records import Passage, Recall
-from dualbrain.runtime.charted import open_map
-from dualbrain.runtime.consulting import CHARACTERS_PER_TOKEN, Budget, consult, question, unfit_templates
-from dualbrain.runtime.vocabulary import vocabulary
 from tests.planner.questions import SCENE, request
 
 PANDA = vocabulary("panda")

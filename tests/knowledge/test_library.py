@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 
 from dualbrain.errors import InvalidSetup, MissingPart, UnknownName
-from dualbrain.knowledge import shelf
-from dualbrain.knowledge.citation import Citation
+from dualbrain.knowledge import store
+from dualbrain.knowledge.builtin_documents import SHIPPED, add_shipped
+from dualbrain.knowledge.document import Citation
 from dualbrain.knowledge.library import Addition, Library, Submission
-from dualbrain.knowledge.refusal import DamagedStore, Refused, StoreInUse
-from dualbrain.knowledge.shipped import SHIPPED, add_shipped
-from dualbrain.memory.hashing import HashingEncoder
+from dualbrain.knowledge.rejection import DamagedStore, Refused, StoreInUse
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 
 NOTE = "# Note on cups\n\nCups are lifted with both fingers and little force, never by the handle.\n"
 OTHER = "# Note on cups\n\nCups may be lifted by the handle if it is strong enough to bear them.\n"
@@ -170,7 +170,7 @@ def test_history_cannot_be_changed(library: Library, tmp_path: Path) -> None:
 
 
 def test_a_second_writer_waits_and_is_told(library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shelf, "WAIT_S", 0.1)
+    monkeypatch.setattr(store, "WAIT_S", 0.1)
     path = tmp_path / "knowledge.sqlite"
     with Library(path, HashingEncoder(64), write=True) as second:
         blocker = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
@@ -189,7 +189,7 @@ def test_a_second_writer_waits_and_is_told(library: Library, tmp_path: Path, mon
 def test_writers_of_several_processes_lose_nothing(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from dualbrain.knowledge.library import *; "
-        "from dualbrain.memory.hashing import HashingEncoder\n"
+        "from dualbrain.memory.embedding.hashing_encoder import HashingEncoder\n"
         "with Library(Path(sys.argv[1]), HashingEncoder(16), write=True) as l:\n"
         "  for n in range(8):\n"
         "    text = f'# D{n}\\n\\nwords of {sys.argv[2]} that are its own {n}'\n"

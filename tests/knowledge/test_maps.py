@@ -8,25 +8,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.core.geometry.polygons import overlap
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.knowledge.maps import Frame, MapPlace, Region, RoomMap, inside
-from dualbrain.knowledge.overlap import overlap
-from dualbrain.knowledge.reading import Reading, read
-from dualbrain.knowledge.refusal import Refused
-from dualbrain.knowledge.shipped import DATA
-from dualbrain.knowledge.structured import structure
-from dualbrain.runtime.charted import floor_of, with_floor, with_places
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.vocabulary import spec_names
+from dualbrain.grounding.map_overlay import floor_of, with_floor, with_places
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.vocabulary import spec_names
+from dualbrain.knowledge.builtin_documents import DATA
+from dualbrain.knowledge.readers.reader import Reading, read
+from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.structured.maps import Frame, MapPlace, Region, RoomMap, inside
+from dualbrain.knowledge.structured.parsing import structure
+from dualbrain.robots.loader import load_body
 from dualbrain.safety.barriers.keep_out import trial_base
-from dualbrain.safety.barriers.traversable import traversable
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.obstacles import from_scene
-from dualbrain.safety.result import Status
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.frozen import scene_hash
-from dualbrain.world.scene_spec import Chart, load_scene, save_scene
+from dualbrain.safety.barriers.traversable_region import traversable
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.safety.cbf.result import Status
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import Chart, load_scene, save_scene
+from dualbrain.simulation.tasks.scene_hashes import scene_hash
 
 WIDE = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))

@@ -6,13 +6,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge import pdf as pdf_room
-from dualbrain.knowledge.hidden import blank, reveal
-from dualbrain.knowledge.html import visible_text
-from dualbrain.knowledge.markdown import without_hidden
-from dualbrain.knowledge.reading import READERS, Reading, read
-from dualbrain.knowledge.reading_limits import LARGEST_FILE, LARGEST_READING
-from dualbrain.knowledge.refusal import Refused
+from dualbrain.knowledge.readers import pdf as pdf_room
+from dualbrain.knowledge.readers.hidden_text import blank, reveal
+from dualbrain.knowledge.readers.html import visible_text
+from dualbrain.knowledge.readers.markdown import without_hidden
+from dualbrain.knowledge.readers.reader import LARGEST_FILE, LARGEST_READING, READERS, Reading, read
+from dualbrain.knowledge.rejection import Refused
 from tests.knowledge.pages import pdf, say
 
 FILLING = "Some honest words that anybody may read in this document."

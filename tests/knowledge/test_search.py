@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.knowledge.fusion import normalised
-from dualbrain.knowledge.library import Library
-from dualbrain.knowledge.shipped import add_shipped
-from dualbrain.memory.encoder import MiniLmEncoder
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.runtime.consulting import Budget
-from dualbrain.weights import default_cache
+from dualbrain.core.weights import default_cache
+from dualbrain.grounding.document_retrieval import Budget
+from dualbrain.knowledge.builtin_documents import add_shipped
+from dualbrain.knowledge.library import Library, normalised
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 from tests.knowledge.questions import BESIDE_THE_POINT, QUESTIONS, place
 
 scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)

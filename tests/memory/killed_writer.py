@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from dualbrain.memory.ledger import Entry, Ledger, Vector
+from dualbrain.memory.ledger.ledger import Entry, Ledger, Vector
 
 ROUND = 3
 """Events in one transaction."""

@@ -8,12 +8,12 @@ import numpy as np
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.embedding import EmbeddingConfig
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.posture import Posture, PostureLimits
-from dualbrain.memory.store import Memory
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.rule import Plasticity
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, OutcomeClass, Proposal, Recall, Scene, SecondOpinion
 
 INTERPRETER = (sys.executable, *(("-S",) if sys.flags.no_site else ()))

@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.memory.affine import UNCHANGED, Factors
-from dualbrain.memory.plasticity import Plasticity
+from dualbrain.memory.plasticity.affine_map import UNCHANGED, Factors
+from dualbrain.memory.plasticity.rule import Plasticity
 
 maps = st.builds(Factors, st.floats(0.0, 1.2), st.floats(-1.0, 1.0))
 

@@ -6,16 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dualbrain.memory.audit import audit, sources
-from dualbrain.memory.curation import note_adapter, note_audit, note_uses, quarantine
-from dualbrain.memory.export import rows
-from dualbrain.memory.map import memory_map
-from dualbrain.memory.store import Memory
-from dualbrain.memory.utility import Change, judge, total, was_used
-from dualbrain.memory.verify import verify
+from dualbrain.memory.maintenance.audit import audit, sources
+from dualbrain.memory.maintenance.edits import note_adapter, note_audit, note_uses, quarantine
+from dualbrain.memory.maintenance.export import rows
+from dualbrain.memory.maintenance.projection import memory_map
+from dualbrain.memory.maintenance.verification import verify
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.retrieval_utility import Change, judge, total, was_used
 from dualbrain.records import OutcomeClass, Recall, Use
-
-from .samples import NOW, REST, contract, episode, open_ledger, open_memory
+from tests.memory.samples import NOW, REST, contract, episode, open_ledger, open_memory
 
 WORDS = ("put the red cube in the bowl", "open the drawer", "push the mug away", "turn off the lamp")
 

@@ -10,9 +10,8 @@ import pytest
 from proofs.kills import examine, one_round
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
-
-from .samples import NOW, REST, episode, open_ledger, open_memory
+from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
+from tests.memory.samples import NOW, REST, episode, open_ledger, open_memory
 
 
 def _mounted(folder: Path, *options: str) -> bool:

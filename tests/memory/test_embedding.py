@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.memory.embedding import BLOCKS, Alpha, Embedded, EmbeddingConfig, JointEmbedding
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.image import IMAGE_ENCODER
-from dualbrain.memory.picture import Picture
-from dualbrain.memory.posture import Posture, PostureLimits, _frequencies, _normals, fourier
-from dualbrain.memory.retrieval import Query, Scan
-from dualbrain.memory.symbols import symbols
-
-from .samples import ARM, OTHER, REST
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
+from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.joint_embedding import BLOCKS, Alpha, Embedded, EmbeddingConfig, JointEmbedding
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, _frequencies, _normals, fourier
+from dualbrain.memory.embedding.symbol_features import symbols
+from dualbrain.memory.retrieval.search import Query, Scan
+from tests.memory.samples import ARM, OTHER, REST
 
 ENCODER = HashingEncoder(32)
 JOINT = JointEmbedding(ENCODER, (ARM, OTHER))

@@ -11,19 +11,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.memory import schema, snapshot, store
-from dualbrain.memory.compact import compact, maps
-from dualbrain.memory.curation import forget, quarantine, release, roll_back
-from dualbrain.memory.derive import as_of, derive
-from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.lineage import spans
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.store import Memory
-from dualbrain.memory.trace import LESSONS
-from dualbrain.memory.trust import Trust
+from dualbrain.memory import memory as store
+from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.ledger import tables
+from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
+from dualbrain.memory.maintenance.compaction import compact, maps
+from dualbrain.memory.maintenance.edits import forget, quarantine, release, roll_back
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.state import snapshot
+from dualbrain.memory.state.derivation import as_of, derive
+from dualbrain.memory.state.episode_record import LESSONS
+from dualbrain.memory.state.history import spans
 from dualbrain.records import OutcomeClass, Recall
-
-from .samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
+from tests.memory.samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
 
 LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=Trust.none())
 """With a neighbourhood and without defences: every outcome moves several weights."""
@@ -290,14 +291,14 @@ def test_curation_after_a_snapshot_is_seen_at_the_next_start(tmp_path: Path, mon
 def test_an_old_ledger_is_brought_up_to_date_and_keeps_its_chain(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     with sqlite3.connect(path) as database:
-        database.executescript(schema._FIRST)
+        database.executescript(tables._FIRST)
     database.close()
     with LedgerReader(path) as reader:
         assert (reader.schema, reader.verify().whole) == (1, True)
         with pytest.raises(InvalidSetup, match="schema_version: got 1, allowed: 2"):
             list(reader.vectors())
     with open_ledger(tmp_path) as ledger:
-        assert ledger.schema == schema.SCHEMA_VERSION
+        assert ledger.schema == tables.SCHEMA_VERSION
         (event,) = ledger.events()
         assert (event.kind, event.payload) == ("migrated", b'{"from":1,"to":2}')
         ledger.append([Entry("note", "", 1)], now=NOW)

@@ -8,10 +8,18 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from dualbrain.core.weights import MANIFEST, default_cache, locate
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.image import IMAGE_ENCODER, IMAGE_WEIGHTS, ImageEncoder, Layer, _depthwise, _patches, resized
-from dualbrain.memory.picture import Picture
-from dualbrain.weights import MANIFEST, default_cache, locate
+from dualbrain.memory.embedding.image_encoder import (
+    IMAGE_ENCODER,
+    IMAGE_WEIGHTS,
+    ImageEncoder,
+    Layer,
+    _depthwise,
+    _patches,
+    resized,
+)
+from dualbrain.memory.embedding.image_features import Picture
 
 CLASSIFIER, BIASES, MILITARY_UNIFORM = 6840952, 5176552, 652
 """Where the classifier that we do not use lies in the file, and the class of the photograph (ImageNet)."""

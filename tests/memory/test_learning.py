@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.affine import Factors
-from dualbrain.memory.plasticity import Penalty, Plasticity
-from dualbrain.memory.retrieval import Query, Scan
-from dualbrain.memory.trust import Trust
-
-from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
+from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.memory.plasticity.rule import Penalty, Plasticity
+from dualbrain.memory.retrieval.search import Query, Scan
+from tests.memory.samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
 SCENE = "neighbour_across low"
 WIDE = replace(CONFIG, plasticity=Plasticity(kappa=0.05, bandwidth=0.3), trust=Trust.none())

@@ -14,13 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.core.storage.file_lock import LedgerInUse
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.memory.chain import GENESIS, DamagedLedger, Head, digest
-from dualbrain.memory.ledger import Entry, Ledger, LedgerReader, Vector
-from dualbrain.memory.writer_lock import LedgerInUse
-
-from . import killed_writer
-from .samples import INTERPRETER, NOW, open_ledger
+from dualbrain.memory.ledger.hash_chain import GENESIS, DamagedLedger, Head, digest
+from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader, Vector
+from tests.memory import killed_writer
+from tests.memory.samples import INTERPRETER, NOW, open_ledger
 
 
 def _filled(folder: Path, events: int = 6) -> Path:
@@ -193,7 +192,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
 
 def test_a_second_writer_is_refused_by_name_and_readers_are_not(tmp_path: Path) -> None:
     ready = (
-        "import sys, time, pathlib; from dualbrain.memory.ledger import Entry, Ledger\n"
+        "import sys, time, pathlib; from dualbrain.memory.ledger.ledger import Entry, Ledger\n"
         "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='dualbrain run r-7', now=1.0)\n"
         "ledger.append([Entry('note', '', 1)], now=1.0)\n"
         "print('ready', flush=True); time.sleep(60)"

@@ -8,8 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.affine import Factors
-from dualbrain.memory.plasticity import Penalty, Plasticity
+from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.memory.plasticity.rule import Penalty, Plasticity
 
 ROUNDING = 4e-16
 weights = st.floats(0.0, 1.0)

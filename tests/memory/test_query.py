@@ -9,15 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.diversity import diverse
-from dualbrain.memory.embedding import Alpha
-from dualbrain.memory.filters import Filter
-from dualbrain.memory.image import IMAGE_ENCODER
-from dualbrain.memory.picture import Picture
-from dualbrain.memory.retrieval import Query, Scan
-from dualbrain.memory.store import Memory
-
-from .samples import NOW, REST, contract, episode, open_ledger, open_memory, unit_rows
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
+from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.joint_embedding import Alpha
+from dualbrain.memory.index.filters import Filter
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.retrieval.mmr import diverse
+from dualbrain.memory.retrieval.search import Query, Scan
+from tests.memory.samples import NOW, REST, contract, episode, open_ledger, open_memory, unit_rows
 
 WORDS, SCENE = "put the red cube in the bowl", "neighbour_across low"
 

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.retrieval import Hit, Query, Scan, worth
-
-from .samples import unit_rows
+from dualbrain.memory.retrieval.search import Hit, Query, Scan, worth
+from tests.memory.samples import unit_rows
 
 DIM = 24
 

@@ -10,18 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.memory.chain import DamagedLedger
-from dualbrain.memory.embedding import EmbeddingConfig, JointEmbedding
-from dualbrain.memory.hashing import HashingEncoder
-from dualbrain.memory.index import rebuild
-from dualbrain.memory.ledger import Entry, Ledger, LedgerReader
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.posture import Posture
-from dualbrain.memory.store import Memory
-from dualbrain.memory.trace import LESSONS
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig, JointEmbedding
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.index.index import rebuild
+from dualbrain.memory.ledger.hash_chain import DamagedLedger
+from dualbrain.memory.ledger.ledger import Entry, Ledger, LedgerReader
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.state.episode_record import LESSONS
 from dualbrain.records import Judgement, OutcomeClass, Recall, SecondOpinion, Violation
-
-from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
+from tests.memory.samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
 WORDS = "put the red cube in the bowl"
 SCENE = "neighbour_across low"

@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.affine import Factors
-from dualbrain.memory.curation import release
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.state import DAY
-from dualbrain.memory.store import Memory
-from dualbrain.memory.trust import Trust
+from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.maintenance.edits import release
+from dualbrain.memory.memory import Memory
+from dualbrain.memory.plasticity.affine_map import Factors
+from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.memory.state.state import DAY
 from dualbrain.records import Recall
-
-from .samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
+from tests.memory.samples import CONFIG, NOW, REST, contract, episode, open_ledger, open_memory
 
 MIDNIGHT = NOW // DAY * DAY
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.schema import decoding_schema, short_form
 from dualbrain.contracts.skill_spec import Choice, Name, Number, SkillSpec, Text
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, Recall
@@ -40,7 +40,7 @@ def request(instruction: str = "put the red cube in the bowl", **changed: Any) -
         "robot": REGISTRY.robot,
         "registry_hash": REGISTRY.hash,
         "skills_text": short_form(REGISTRY, NAMES),
-        "schema": REGISTRY.decoding_schema(NAMES),
+        "schema": decoding_schema(REGISTRY, NAMES),
         "contract_id": "c-0007",
     }
     return PlanRequest(**(facts | changed))

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.planner.asking import FULL, SHORT
+from dualbrain.planner.prompt.prompt_format import FULL, SHORT
 from dualbrain.records import Setback
 from tests.planner.questions import request
 

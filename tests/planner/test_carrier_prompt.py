@@ -4,16 +4,24 @@ import jsonschema_rs
 import pytest
 
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.schema import short_form
-from dualbrain.planner import carrier_prompt
-from dualbrain.planner.carrier_prompt import DECLINING, EXAMPLES, GOING, GOING_FIRST, PUTTING, PUTTING_FIRST, fitting
-from dualbrain.planner.prompt import MAX_EXEMPLARS, beside_hash, render, template_hash
+from dualbrain.contracts.schema import short_form, validation_schema
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.scene_summary import summarise
+from dualbrain.grounding.vocabulary import scene_names, vocabulary
+from dualbrain.planner.prompt import mobile_manipulator_examples
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, beside_hash, render, template_hash
+from dualbrain.planner.prompt.mobile_manipulator_examples import (
+    DECLINING,
+    EXAMPLES,
+    GOING,
+    GOING_FIRST,
+    PUTTING,
+    PUTTING_FIRST,
+    fitting,
+)
 from dualbrain.records import Recall
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.summary import summarise
-from dualbrain.runtime.vocabulary import scene_names, vocabulary
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.wordings import wordings
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.tasks.instructions import wordings
 from tests.planner.questions import exemplar, request
 
 ROBOT = "mobile_panda"
@@ -79,7 +87,7 @@ def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(examp
     spots = [name for name, text in lines.items() if text.startswith("container")] + lines["places"].split(", ")
     context = {"robot": ROBOT, "registry": registry.hash}
     contract = {"id": "c-0001", "context": context, "action_sequence": list(example.actions)}
-    schema = registry.validation_schema(SceneNames(tuple(things), tuple(spots)))
+    schema = validation_schema(registry, SceneNames(tuple(things), tuple(spots)))
     jsonschema_rs.validator_for(schema).validate(contract)
     skills = skills_of(example)
     for before, action in zip([None, *example.actions], example.actions, strict=False):
@@ -97,6 +105,6 @@ def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(examp
 
 def test_it_stands_beside_the_template_that_adapters_were_trained_on(monkeypatch):
     before = beside_hash(), template_hash()
-    monkeypatch.setattr(carrier_prompt, "SYSTEM", "other words")
+    monkeypatch.setattr(mobile_manipulator_examples, "SYSTEM", "other words")
     assert beside_hash() != before[0]
     assert template_hash() == before[1]

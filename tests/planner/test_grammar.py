@@ -5,7 +5,13 @@ from functools import cache
 
 import pytest
 
-from dualbrain.planner.grammar import FREELY, actions_grammar, contract_grammar, narrow, tail_grammar
+from dualbrain.planner.decoding.llguidance_grammar import (
+    FREELY,
+    actions_grammar,
+    contract_grammar,
+    narrow,
+    tail_grammar,
+)
 from tests.planner.questions import REGISTRY, request
 
 

@@ -11,15 +11,17 @@ from typing import Any
 import jsonschema_rs
 import pytest
 
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.verdict import Accepted
+from dualbrain.core.weights import default_cache, locate
 from dualbrain.errors import InvalidSetup
-from dualbrain.planner import prompt, protocol
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
-from dualbrain.planner.llama_process import LlamaProcess
+from dualbrain.planner import protocol
+from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
+from dualbrain.planner.backends.llama_process import LlamaProcess
+from dualbrain.planner.prompt import full_prompt
 from dualbrain.planner.registry import SMALL_PLANNER, open_planner
 from dualbrain.records import Recall
-from dualbrain.weights import default_cache, locate
 from tests.planner.questions import NAMES, REGISTRY, exemplar, request
 
 pytestmark = pytest.mark.llm
@@ -29,8 +31,8 @@ pytestmark = pytest.mark.llm
 def short_prompt() -> Iterator[None]:
     """The small model plans nothing anyway: a short prompt saves the time of reading the real one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(prompt, "SYSTEM", "You plan for {robot}. Skills:\n{skills}\nAnswer: {form}")
-        patch.setattr(prompt, "WORKED_EXAMPLES", prompt.WORKED_EXAMPLES[:1])
+        patch.setattr(full_prompt, "SYSTEM", "You plan for {robot}. Skills:\n{skills}\nAnswer: {form}")
+        patch.setattr(full_prompt, "WORKED_EXAMPLES", full_prompt.WORKED_EXAMPLES[:1])
         yield
 
 
@@ -55,7 +57,7 @@ def test_the_grammar_holds_the_bounds_and_the_header_is_given(planner: LlamaPlan
     assert proposal.text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":')
     assert "llguidance" in proposal.constrained_by
     if proposal.finish_reason == protocol.STOP:
-        jsonschema_rs.validator_for(REGISTRY.validation_schema(NAMES)).validate(json.loads(proposal.text))
+        jsonschema_rs.validator_for(validation_schema(REGISTRY, NAMES)).validate(json.loads(proposal.text))
 
 
 def test_a_second_question_reuses_the_prefix_and_gets_the_same_answer(planner: LlamaPlanner) -> None:

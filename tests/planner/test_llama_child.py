@@ -6,11 +6,11 @@ import sys
 import time
 from pathlib import Path
 
-from dualbrain.planner import llama_child
+from dualbrain.planner.backends import llama_worker
 
 LOADING = f"""
 import ctypes, sys
-sys.path.insert(0, {str(Path(llama_child.__file__).parent)!r})
+sys.path.insert(0, {str(Path(llama_worker.__file__).parent)!r})
 from llama_child import _end_when_it_closes
 _end_when_it_closes(sys.stdin.fileno())
 print("loading", flush=True)

@@ -3,10 +3,11 @@
 import jsonschema_rs
 import pytest
 
-from dualbrain.contracts.safe_text import hides_something
-from dualbrain.planner.grammar import narrow
-from dualbrain.planner.llama_schema import by_length
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.contracts.schema import decoding_schema
+from dualbrain.core.text import hides_something
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.planner.decoding.gbnf_schema import by_length
+from dualbrain.planner.decoding.llguidance_grammar import narrow
 from tests.planner.questions import NAMES, REGISTRY
 
 LONGEST = next(one.max_length for one in vocabulary("base").skill("decline").parameters)
@@ -25,7 +26,7 @@ def leaves(schema):
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
 def test_no_hidden_character_is_left_and_nothing_else_is_lost(robot):
-    schema = narrow(vocabulary(robot).decoding_schema(NAMES))
+    schema = narrow(decoding_schema(vocabulary(robot), NAMES))
     told = by_length(schema)
     hidden = [one for one in leaves(schema) if hides_something(str(one))]
     assert len(hidden) == 1  # the reason of a decline
@@ -34,7 +35,7 @@ def test_no_hidden_character_is_left_and_nothing_else_is_lost(robot):
 
 @pytest.mark.parametrize("length", [0, 1, 40, 41])
 def test_a_text_is_as_long_as_before(length):
-    schema = REGISTRY.decoding_schema(NAMES)
+    schema = decoding_schema(REGISTRY, NAMES)
     steps = [{"skill": "decline", "params": {"reason": "x" * length}}]
     contract = {
         "id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}, "action_sequence": steps,

@@ -5,14 +5,14 @@ import json
 import pytest
 
 from dualbrain.contracts.schema import short_form
-from dualbrain.planner.examples import DECLINING
-from dualbrain.planner.long_horizon import EXAMPLES, RULES, needs
-from dualbrain.planner.prompt import MAX_EXEMPLARS, beside_hash, render
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.vocabulary import scene_names, vocabulary
+from dualbrain.planner.prompt.arm_examples import DECLINING
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, beside_hash, render
+from dualbrain.planner.prompt.multi_goal import EXAMPLES, RULES, needs
 from dualbrain.records import Recall
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.vocabulary import scene_names, vocabulary
-from dualbrain.world.scenes import make_scene
-from dualbrain.world.wordings import wordings
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.instructions import wordings
 from tests.planner.questions import exemplar, request
 
 SPEC = make_scene("sorting", 0)

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import AdapterCard
+from dualbrain.adaptation.adapters.card import AdapterCard
 from dualbrain.adaptation.config import AdaptConfig
-from dualbrain.adaptation.serving.adapted import AdaptedPlanner, NotItself
-from dualbrain.planner import llama, llama_process, protocol
-from dualbrain.planner.asking import FREE
-from dualbrain.planner.chat import Answer
-from dualbrain.planner.last_words import TOLD, ending
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
-from dualbrain.planner.short_prompt import short_template_hash
+from dualbrain.adaptation.serving.adapted_planner import AdaptedPlanner, NotItself
+from dualbrain.planner import protocol
+from dualbrain.planner.backends import llama_cpp, llama_process
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
+from dualbrain.planner.backends.stderr_tail import TOLD, ending
+from dualbrain.planner.prompt.prompt_format import FREE
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from tests.planner.fake_server import completion
 from tests.planner.questions import REGISTRY, request
 
@@ -75,7 +76,7 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "child.py").write_text(CHILD)
     (tmp_path / "m.gguf").write_text("answers")
     monkeypatch.setattr(llama_process, "_CHILD", tmp_path / "child.py")
-    monkeypatch.setattr(llama, "find_spec", lambda name: sys)
+    monkeypatch.setattr(llama_cpp, "find_spec", lambda name: sys)
     return tmp_path / "m.gguf"
 
 

@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.planner import chat, ollama, protocol
-from dualbrain.planner.grammar import contract_grammar, narrow
-from dualbrain.planner.llama_schema import by_length
-from dualbrain.planner.openai import DIALECTS, ServerConfig, ServerPlanner
-from dualbrain.planner.prompt import render
+from dualbrain.planner import protocol
+from dualbrain.planner.backends import http_chat, ollama
+from dualbrain.planner.backends.openai_server import DIALECTS, ServerConfig, ServerPlanner
+from dualbrain.planner.decoding.gbnf_schema import by_length
+from dualbrain.planner.decoding.llguidance_grammar import contract_grammar, narrow
+from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Proposal
 from tests.planner.fake_server import Behaviour, FakeServer, completion, says, serve
 from tests.planner.questions import request
@@ -48,7 +49,7 @@ def hang_up(call: BaseHTTPRequestHandler) -> None:
 def flood(call: BaseHTTPRequestHandler) -> None:
     call.send_response(200)
     call.end_headers()
-    for _ in range(4 * chat.LARGEST_ANSWER // 65536):
+    for _ in range(4 * http_chat.LARGEST_ANSWER // 65536):
         call.wfile.write(b"[" * 65536)
 
 
@@ -144,7 +145,7 @@ def test_a_code_fence_is_taken_off_and_recorded(fence: str) -> None:
 
 def test_a_fence_inside_is_left_alone() -> None:
     text = 'here: ```json\n{"id":1}\n```'
-    assert chat.strip_fence(text) == (text, False)
+    assert http_chat.strip_fence(text) == (text, False)
 
 
 REFUSED = completion(None, refusal="I will not")
@@ -257,7 +258,7 @@ def test_a_key_that_cannot_be_sent_is_a_broken_setup_and_is_not_told(stray: str)
 def test_what_cannot_be_sent_comes_back_as_an_error_without_the_key(path: str, key: str, finish: str) -> None:
     with serve(says(completion(CONTRACT))) as server:
         url = server.url.removesuffix("/v1") + path
-        assert chat.post(url, b"", key=key, timeout_s=5.0) == chat.Answer("", protocol.ERROR, finish)
+        assert http_chat.post(url, b"", key=key, timeout_s=5.0) == http_chat.Answer("", protocol.ERROR, finish)
     assert not server.asked
 
 
@@ -270,8 +271,8 @@ def test_a_server_that_repeats_the_key_does_not_bring_it_into_the_records() -> N
 
 @pytest.mark.parametrize("url", ["http://x..y/v1", "http://a b/v1", "http://host:port/v1"])
 def test_a_host_that_cannot_be_asked_comes_back_as_an_error(url: str) -> None:
-    answer = chat.post(url, b"", key="sk-secret", timeout_s=5.0)
-    assert isinstance(answer, chat.Answer)
+    answer = http_chat.post(url, b"", key="sk-secret", timeout_s=5.0)
+    assert isinstance(answer, http_chat.Answer)
     assert (answer.finish, "secret" in answer.detail) == (protocol.ERROR, False)
 
 
@@ -282,5 +283,5 @@ def test_an_unknown_dialect_lists_the_known_ones() -> None:
 
 @given(body=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 def test_no_bytes_make_the_reader_raise(body: bytes) -> None:
-    assert isinstance(chat.read_completion(body), chat.Answer)
-    assert isinstance(ollama.read_chat(body), chat.Answer)
+    assert isinstance(http_chat.read_completion(body), http_chat.Answer)
+    assert isinstance(ollama.read_chat(body), http_chat.Answer)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.planner.asking import FULL, SHORT
-from dualbrain.planner.llama_process import Worn
-from dualbrain.planner.prefix import KEPT, PrefixStore
+from dualbrain.planner.backends.llama_process import Worn
+from dualbrain.planner.backends.prompt_cache import KEPT, PrefixStore
+from dualbrain.planner.prompt.prompt_format import FULL, SHORT
 from dualbrain.records import Recall
 from tests.planner.fake_server import says, serve
 from tests.planner.questions import exemplar, request

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import validation_schema
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.embodiment.body import load_body
-from dualbrain.planner import prompt
-from dualbrain.planner.examples import DECLINING, FETCHING, WORKED_EXAMPLES, WorkedExample, fitting
-from dualbrain.planner.prompt import MAX_EXEMPLARS, Message, header, render, template_hash
+from dualbrain.planner.prompt import full_prompt
+from dualbrain.planner.prompt.arm_examples import DECLINING, FETCHING, WORKED_EXAMPLES, WorkedExample, fitting
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, Message, header, render, template_hash
 from dualbrain.records import Passage, Recall
-from dualbrain.skills.vocabulary import arm_registry
+from dualbrain.robots.loader import load_body
+from dualbrain.skills.registry import arm_registry
 from tests.planner.questions import REGISTRY, exemplar, request
 
 MARKS = ("<scene>", "</scene>", "<instruction>", "</instruction>")
@@ -107,7 +108,7 @@ def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
         names = [line.split(":")[0] for line in example.scene.splitlines() if ": object" in line]
         spots = [line.split(":")[0] for line in example.scene.splitlines() if ": container" in line]
         spots += example.scene.splitlines()[-1].removeprefix("places: ").split(", ")
-        schema = registry.validation_schema(SceneNames(tuple(names), tuple(spots)))
+        schema = validation_schema(registry, SceneNames(tuple(names), tuple(spots)))
         jsonschema_rs.validator_for(schema).validate(contract)
         for action in contract["action_sequence"]:  # the order in which a constrained decoder can write them
             assert list(action["params"]) == [p.name for p in registry.skill(action["skill"]).parameters]
@@ -116,7 +117,7 @@ def test_the_built_in_examples_are_contracts_of_the_arm() -> None:
 def test_the_template_hash_follows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
     before = template_hash()
     assert len(before) == 16
-    monkeypatch.setattr(prompt, "SYSTEM", prompt.SYSTEM + " ")
+    monkeypatch.setattr(full_prompt, "SYSTEM", full_prompt.SYSTEM + " ")
     assert template_hash() != before
 
 

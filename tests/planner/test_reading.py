@@ -2,11 +2,11 @@
 
 import pytest
 
-from dualbrain.planner.asking import short_messages
-from dualbrain.planner.prompt import render, template_hash
-from dualbrain.planner.reading import deaf_to_documents, messages_of, template_of, unread
+from dualbrain.planner.introspection import deaf_to_documents, messages_of, template_of, unread
+from dualbrain.planner.prompt.full_prompt import render, template_hash
+from dualbrain.planner.prompt.prompt_format import short_messages
+from dualbrain.planner.prompt.short_prompt import short_template_hash
 from dualbrain.planner.scripted import ScriptedPlanner
-from dualbrain.planner.short_prompt import short_template_hash
 from dualbrain.records import Passage, Recall
 from tests.planner.questions import exemplar, request
 

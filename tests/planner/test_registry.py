@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dualbrain.errors import MissingPart, UnknownName
-from dualbrain.planner.openai import ServerPlanner
+from dualbrain.planner.backends.openai_server import ServerPlanner
 from dualbrain.planner.registry import DEFAULT_PLANNER, SMALL_PLANNER, open_planner, planner_names
 from dualbrain.planner.scripted import ScriptedPlanner
 from tests.planner.questions import request

@@ -2,7 +2,7 @@
 
 import json
 
-from dualbrain.planner.short_prompt import MAX_SHOWN, STEPS_LIMIT, exemplar_steps, render_short
+from dualbrain.planner.prompt.short_prompt import MAX_SHOWN, STEPS_LIMIT, exemplar_steps, render_short
 from tests.planner.questions import SCENE, exemplar
 
 ASK = {"robot": "panda", "registry": "83abdb38", "contract_id": "c-0001"}

@@ -3,8 +3,9 @@
 import msgspec
 import numpy as np
 
-from dualbrain.linalg import matrix
-from dualbrain.records import Bowl, Box, Capsule, HalfSpace, Place, Pose, Scene, SceneObject
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, HalfSpace, Pose
+from dualbrain.records import Place, Scene, SceneObject
 
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 

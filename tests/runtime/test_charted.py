@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.knowledge.maps import MapPlace, Region, RoomMap
+from dualbrain.grounding.map_overlay import with_floor
+from dualbrain.knowledge.structured.maps import MapPlace, Region, RoomMap
 from dualbrain.records import Place
-from dualbrain.runtime.charted import with_floor
-from dualbrain.skills import chassis
-from dualbrain.world.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.skills.mobile_base import controller
 from tests.world.hall import BASE, Hall, drive_to
 
 HALL = ((-0.7, -1.4), (2.6, -1.4), (3.2, 0.9), (-0.7, 0.9))
@@ -73,7 +73,7 @@ def test_a_base_that_is_driven_at_the_border_of_its_map_stays_inside(beyond, mon
         yield
         return [start, end]
 
-    monkeypatch.setattr(chassis, "floor_path", straight)
+    monkeypatch.setattr(controller, "floor_path", straight)
     spec = known()
     there = msgspec.structs.replace(spec, places=(*spec.places, Place("beyond", (*beyond, 0.0))))
     hall = Surveyed(there)

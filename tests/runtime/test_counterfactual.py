@@ -6,11 +6,11 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.registry import Registry
+from dualbrain.grounding.vocabulary import vocabulary
 from dualbrain.planner.protocol import LENGTH, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Use
 from dualbrain.runtime.counterfactual import Counterfactuals
-from dualbrain.runtime.vocabulary import vocabulary
 from tests.once import once
 from tests.stories.rig import contract, ledger_episodes, ledger_kinds, pause, play, settings
 

@@ -4,7 +4,7 @@ import pytest
 
 from dualbrain.contracts.verdict import Rejected
 from dualbrain.records import Attempt, Proposal
-from dualbrain.runtime.decision import PARTS, breakdown, in_words, timings
+from dualbrain.runtime.planning_time import PARTS, breakdown, in_words, timings
 
 
 def attempt(gate=0.001, **told):

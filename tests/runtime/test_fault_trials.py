@@ -5,9 +5,9 @@ from itertools import product
 import pytest
 
 from dualbrain.errors import UnknownName
-from dualbrain.runtime.fault_trial import inject
-from dualbrain.runtime.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault, drawn_moment
-from dualbrain.safety.order import Rung
+from dualbrain.evaluation.fault_injection.faults import EXPECTED, KINDS, MOMENTS, SOURCES, Fault, drawn_moment
+from dualbrain.evaluation.fault_injection.trial import inject
+from dualbrain.safety.supervisor.actions import Rung
 
 SAMPLE = [
     ("state", "off", "closing"),

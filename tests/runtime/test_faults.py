@@ -8,26 +8,26 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.memory.store import Memory
+from dualbrain.control import contract_executor
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording import recorder as recorder_module
+from dualbrain.control.recording.channels import recording_state
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.grounding.vocabulary import grants, vocabulary
+from dualbrain.memory.memory import Memory
 from dualbrain.records import Episode
-from dualbrain.runtime import local_layer
-from dualbrain.runtime import recorder as recorder_module
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.recorder import Recorder
-from dualbrain.runtime.recording import recording_state
-from dualbrain.runtime.trace import Event, Trace
-from dualbrain.runtime.vocabulary import PLANNER, grants, vocabulary
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.runtime.scenes import bowl, box, scene
 from tests.stories.rig import pause, play, settings
-
-from .scenes import bowl, box, scene
 
 BODY = load_body("panda")
 GRASP = {
@@ -98,7 +98,7 @@ def test_a_fault_after_an_interruption_leaves_it_an_interruption():
 
 
 def test_an_action_that_never_ends_is_taken_over(monkeypatch):
-    monkeypatch.setattr(local_layer, "LONGEST", 0.2)
+    monkeypatch.setattr(contract_executor, "LONGEST", 0.2)
     world, outcome, _ = run(lambda t: scene(), Action("hold", {"duration": 20.0}))
     assert (outcome.kind, outcome.reason) == ("taken_over", "hold: not done after 0 s")
     assert not world.stopped

@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Box, Pose, Scene, SceneObject
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.leftover import CLEAR, Leftover
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.condition import Condition
-from dualbrain.safety.filter import SafetyFilter
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.control.residual_contacts import CLEAR, Leftover
+from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.world import SimulatedWorld
 from dualbrain.skills.skill import Touch
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
 
 BODY = load_body("panda")
 GRASP = {

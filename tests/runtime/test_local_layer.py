@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.result import Status
-
-from .scenes import bowl, box, scene
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.result import Status
+from tests.runtime.scenes import bowl, box, scene
 
 BODY = load_body("panda")
 

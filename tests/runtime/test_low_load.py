@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from dualbrain.memory.writer_lock import Holder, WriterLock, holder_of
-from dualbrain.runtime.idleness import Machine, look, robot_at_work, why_not_now
-from dualbrain.runtime.low_load import LowLoad, Pace
+from dualbrain.adaptation.idle_scheduler import LowLoad, Machine, Pace, look, robot_at_work, why_not_now
+from dualbrain.core.storage.file_lock import Holder, WriterLock, holder_of
 
 QUIET = Machine(0.2, 2, on_battery=False)
 COUNTING = "import sys, time\nwhile True:\n    open(sys.argv[1], 'a').write('.')\n    time.sleep(0.01)\n"

@@ -6,12 +6,20 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.adaptation.sample import answer
-from dualbrain.cli import folders
-from dualbrain.memory.derive import derive
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.runtime import proposals as room
-from dualbrain.runtime.proposals import carried_out, declined, flown, instruction_of, memory_of, proposals, turn_of
+from dualbrain.adaptation.curation.sample import answer
+from dualbrain.cli.common import paths
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.state.derivation import derive
+from dualbrain.runtime.data_collection import rollouts as room
+from dualbrain.runtime.data_collection.rollouts import (
+    carried_out,
+    declined,
+    flown,
+    instruction_of,
+    memory_of,
+    proposals,
+    turn_of,
+)
 from tests.adaptation.episodes import episode
 
 
@@ -94,7 +102,7 @@ def test_a_ledger_depends_on_the_proposals_alone(tmp_path):
     heads = []
     for name in ("one", "other"):
         ledger = tmp_path / name / room.LEDGER
-        ended = [carried_out(one, ledger, turn, cache=folders.cache()) for turn, one in enumerate((refusal, wait))]
+        ended = [carried_out(one, ledger, turn, cache=paths.cache()) for turn, one in enumerate((refusal, wait))]
         assert [one.outcome.kind for one in ended] == ["declined", "succeeded"]
         with LedgerReader(ledger) as reader:
             heads.append(reader.head())

@@ -5,18 +5,18 @@ import json
 import msgspec
 import numpy as np
 
-from dualbrain.contracts.canonical_contract import canonical_contract
+from dualbrain.contracts.canonical_form import canonical_contract
 from dualbrain.contracts.contract import Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.memory.posture import Posture
-from dualbrain.planner.short_prompt import exemplar_steps
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.planner.prompt.short_prompt import exemplar_steps
 from dualbrain.records import Exemplar, Recall
-from dualbrain.runtime.classroom import lessons
-from dualbrain.runtime.question import Standpoint, as_written, question
-from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.scenes import make_scene
+from dualbrain.robots.loader import load_body
+from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+from dualbrain.runtime.planner_request import Standpoint, as_written, question
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
 
 def remembered(contract):

@@ -15,11 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.errors import InvalidSetup
-from dualbrain.records import Attempt, HalfSpace, Pose, Proposal, Scene, SceneObject
-from dualbrain.runtime import recorder as recorder_module
-from dualbrain.runtime.recorder import BATCH, Recorder
-from dualbrain.runtime.recording import (
+from dualbrain.control.recording import recorder as recorder_module
+from dualbrain.control.recording.channels import (
     AttemptMade,
     EpisodeInfo,
     FilterCall,
@@ -31,9 +28,12 @@ from dualbrain.runtime.recording import (
     read_trace,
     recording_state,
 )
-from dualbrain.runtime.trace import Event, Trace
-
-from .ticks import fill
+from dualbrain.control.recording.recorder import BATCH, Recorder
+from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import Attempt, Proposal, Scene, SceneObject
+from tests.runtime.ticks import fill
 
 SCENE = Scene("panda", 0.5, 1, (SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0))),))
 ATTEMPT = Attempt(
@@ -171,8 +171,8 @@ def test_an_exception_still_closes_the_file(tmp_path: Path) -> None:
 KILLED = """
 import sys, time
 from pathlib import Path
-from dualbrain.runtime.recorder import Recorder
-from dualbrain.runtime.trace import Trace
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Trace
 from tests.runtime.ticks import fill
 trace = Trace(7)
 recorder = Recorder(Path(sys.argv[1]), trace, when_full="wait")

@@ -2,9 +2,9 @@
 
 import pytest
 
-from dualbrain.adaptation.curate import Curation, curate
+from dualbrain.adaptation.curation.curate import Curation, curate
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.remembered_flight import remembered_flight
+from dualbrain.runtime.memory_replay import remembered_flight
 from tests.adaptation.episodes import REGISTRY, episode, remember, several
 
 

@@ -5,12 +5,12 @@ import json
 import msgspec
 import pytest
 
-from dualbrain.memory.trace import LESSONS
-from dualbrain.planner.prompt import render
+from dualbrain.memory.state.episode_record import LESSONS
+from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import ActionResult, Episode, Outcome, Recall, Scene, Setback
 from dualbrain.runtime.replanning import goes_on, setback_of, tried
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.scene_spec import save_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import save_scene
 from tests.planner.questions import request
 from tests.stories.rig import contract, decline, ledger_episodes, pause, play, settings
 

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.control.recording import replay as replay_module
+from dualbrain.control.recording.channels import FilterCall, Ticks, read_recording
+from dualbrain.control.recording.replay import replay
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime import replay as replay_module
-from dualbrain.runtime.recording import FilterCall, Ticks, read_recording
-from dualbrain.runtime.replay import replay
 from tests.once import once
 from tests.stories.rig import contract, play, settings
 

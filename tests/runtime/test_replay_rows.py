@@ -5,20 +5,19 @@ from dataclasses import replace
 import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.runtime import replay as replay_module
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.recorder import Recorder
-from dualbrain.runtime.recording import FilterCall, read_recording
-from dualbrain.runtime.replay import replay
-from dualbrain.runtime.trace import Trace
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording import replay as replay_module
+from dualbrain.control.recording.channels import FilterCall, read_recording
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.replay import replay
+from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
 from dualbrain.safety.barriers.singularity import Singularity
-from dualbrain.safety.filter import Row, SafetyFilter
-
-from .scenes import scene
+from dualbrain.safety.cbf.filter import Row, SafetyFilter
+from tests.runtime.scenes import scene
 
 BODY = load_body("panda")
 

@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.memory.doubt import ALPHA, RIGHT
-from dualbrain.records import Capsule, Outcome, Pose, SceneObject
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.rerun import Try, verdict
-from dualbrain.runtime.second_opinion import second_opinion
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.remembered import remembered_scene
-from dualbrain.world.scene_spec import Chart, Closed, check_scene
+from dualbrain.core.geometry.shapes import Capsule, Pose
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.outcome_check import second_opinion
+from dualbrain.memory.maintenance.contradiction import ALPHA, RIGHT
+from dualbrain.records import Outcome, SceneObject
+from dualbrain.runtime.memory_replay import Try, verdict
+from dualbrain.simulation.scenes.from_memory import remembered_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import Chart, Closed, check_scene
 from tests.world.hall import Hall, drive_to
 
 

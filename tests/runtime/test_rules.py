@@ -4,13 +4,12 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.desk import check_contract, limb_at_home
-from dualbrain.runtime.rules import FINGER_ROOM, scene_rules
+from dualbrain.grounding.offline_gate import check_contract, limb_at_home
+from dualbrain.grounding.scene_rules import FINGER_ROOM, scene_rules
+from dualbrain.robots.loader import load_body
 from dualbrain.skills.skill import Holding
+from tests.runtime.scenes import bowl, box, scene
 from tests.stories.rig import GRASP, PLACE, REGISTRY, contract, decline, pause
-
-from .scenes import bowl, box, scene
 
 
 @pytest.fixture(scope="module")

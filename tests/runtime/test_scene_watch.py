@@ -4,16 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Pose
-from dualbrain.runtime.scene_watch import SceneWatch
-from dualbrain.safety.condition import Condition
-from dualbrain.safety.watch import Bounds
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import EXACT, Noise, Perception
-
-from .scenes import box, forearm, scene
+from dualbrain.control.scene_monitor import SceneWatch
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.state_monitor import Bounds
+from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from tests.runtime.scenes import box, forearm, scene
 
 FROZEN = int(Condition.SCENE_FROZEN)
 LOOK = 0.033

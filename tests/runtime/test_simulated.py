@@ -3,11 +3,11 @@
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.simulated import SimulatedWorld, called
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.scenes import make_scene
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.world import SimulatedWorld, called
 
 
 class Naming:

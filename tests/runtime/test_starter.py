@@ -2,11 +2,11 @@
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import proposed_by_others
-from dualbrain.adaptation.sample import to_lines
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.runtime import starter
-from dualbrain.runtime.proposals import LEDGER, LINES, declined, memory_of, proposals, turn_of
+from dualbrain.adaptation.adapters.card import proposed_by_others
+from dualbrain.adaptation.curation.sample import to_lines
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.runtime.data_collection import starter_dataset
+from dualbrain.runtime.data_collection.rollouts import LEDGER, LINES, declined, memory_of, proposals, turn_of
 from tests.adaptation.episodes import episode, pick, remember, summary
 
 DECLINE = pick() | {"action_sequence": [{"skill": "decline", "params": {"reason": "no skill can do this"}}]}
@@ -15,7 +15,7 @@ LOUD = 7
 
 @pytest.fixture(scope="module")
 def drawn():
-    return proposals(starter.SEED, 80, declines=True)
+    return proposals(starter_dataset.SEED, 80, declines=True)
 
 
 @pytest.fixture
@@ -35,19 +35,19 @@ def _ended(turn, one):
 
 
 def test_deeds_teach_by_verdict_and_declines_by_their_lesson(day, drawn):
-    data = starter.taught(day)
+    data = starter_dataset.taught(day)
     turns = {turn_of(row.memory) for row in (*data.train, *data.held_out)}
     deeds = {turn for turn, one in enumerate(drawn) if not declined(one) and turn % LOUD > 1}
     declines = [turn for turn, one in enumerate(drawn) if declined(one)]
     assert turns - set(declines) == deeds
-    assert turns & set(declines) == set(declines[: len(deeds) // starter.DEEDS_A_DECLINE])
+    assert turns & set(declines) == set(declines[: len(deeds) // starter_dataset.DEEDS_A_DECLINE])
     assert turns & set(declines)
 
 
 def test_it_is_taught_by_somebody_else_and_says_so(day):
-    data = starter.taught(day)
+    data = starter_dataset.taught(day)
     assert set(data.card.sources) == {"templates"}
-    assert proposed_by_others(data.card.sources, starter.BASE)
+    assert proposed_by_others(data.card.sources, starter_dataset.BASE)
     assert data.card.robot == "panda"
     with LedgerReader(day / LEDGER) as ledger:
         assert data.card.ledger == ledger.head().hash

@@ -4,8 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.records import Box, Capsule, Pose, Scene, SceneObject
-from dualbrain.runtime.steady import MOVED, SETTLING, Steady
+from dualbrain.control.scene_smoothing import MOVED, SETTLING, Steady
+from dualbrain.core.geometry.shapes import Box, Capsule, Pose
+from dualbrain.records import Scene, SceneObject
 
 BOUND = 0.009
 TRUTH = np.array([0.5, -0.2, 0.025])

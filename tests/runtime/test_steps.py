@@ -2,8 +2,8 @@ import threading
 
 import pytest
 
+from dualbrain.core.storage.resumable_steps import alone, carry_on
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.steps import alone, carry_on
 
 
 def note(number, here):

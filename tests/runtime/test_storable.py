@@ -5,7 +5,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.runtime.storable import LONGEST, storable
+from dualbrain.core.text import LONGEST, storable
 
 anything = st.text(st.characters(exclude_categories=()))
 

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Place, Pose
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.summary import summarise
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.scenes import ALL_FAMILIES
-
-from .scenes import bowl, box, forearm, rotated, scene
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.scene_summary import summarise
+from dualbrain.records import Place
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.tabletop import ALL_FAMILIES
+from tests.runtime.scenes import bowl, box, forearm, rotated, scene
 
 CUBE = box("red_cube", 0.5, -0.2)
 CAN = ("green_can", (0.02, 0.02, 0.05))

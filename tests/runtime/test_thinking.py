@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from dualbrain.runtime.thinking import Thinking
+from dualbrain.runtime.planning_time import Thinking
 
 
 class Standing:

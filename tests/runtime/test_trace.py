@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.robot import RobotState
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import BLOCK, Trace, columns, spans
 from dualbrain.errors import UnknownName
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.trace import BLOCK, Trace, columns, spans
-
-from .ticks import Answer, fill
+from dualbrain.robots.interface import RobotState
+from tests.runtime.ticks import Answer, fill
 
 ZEROS = np.zeros(2)
 

@@ -2,15 +2,15 @@
 
 import pytest
 
-from dualbrain.adaptation.adapter_card import read_adapter_card
-from dualbrain.adaptation.serving.fitness import require_fit
-from dualbrain.adaptation.serving.packaged import packaged_folder
-from dualbrain.contracts.narrowing import narrows
+from dualbrain.adaptation.adapters.card import read_adapter_card
+from dualbrain.adaptation.adapters.compatibility import require_fit
+from dualbrain.adaptation.adapters.packaged import packaged_folder
+from dualbrain.contracts.registry import narrows
 from dualbrain.errors import InvalidSetup
+from dualbrain.grounding.vocabulary import vocabulary, vocabulary_at
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime import session
 from dualbrain.runtime.session import Session
-from dualbrain.runtime.vocabulary import vocabulary, vocabulary_at
 from tests.stories.rig import settings, times
 
 CAPS = "[robot]\ntool_speed = 0.25\n[limits]\nvelocity = 0.5\n"

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.runtime.trace import Array, Trace
+from dualbrain.control.recording.trace import Array, Trace
+from dualbrain.robots.interface import RobotState
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .surroundings import Thing, ball
+from tests.safety.surroundings import Thing, ball
 
 OPENING = 0.1
 """[m] no gripper opens wider."""

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
 
 
 @pytest.fixture(scope="session")

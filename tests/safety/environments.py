@@ -4,14 +4,13 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Box, Capsule, HalfSpace, Pose
-from dualbrain.safety.driven import driven
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
-from dualbrain.world.plant import ARM_GROUP, Plant
-from dualbrain.world.scenes import make_scene
-
-from . import oracle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+from dualbrain.safety.integration.derating import driven
+from dualbrain.simulation.plant.plant import ARM_GROUP, Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from tests.safety import oracle
 
 PERIOD = 0.005
 PANDA = load_body("panda")

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dualbrain.records import Box, Capsule, HalfSpace, Sphere
-from dualbrain.safety.native import tool_frame
-
-from . import oracle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from dualbrain.safety.cbf.kernel import tool_frame
+from tests.safety import oracle
 
 OBSTACLE, SELF = 0, 1
 FLOOR = 1e-3

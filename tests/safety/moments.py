@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dualbrain.safety import _kernel64
-from dualbrain.safety.result import Filtered, Names, Status
+from dualbrain.safety.cbf.compiled import _kernel64
+from dualbrain.safety.cbf.result import Filtered, Names, Status
 
 CAPSULE, BOX, HALF_SPACE = range(3)
 KNOWN, STATIC = 1, 2

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dualbrain.records import Box, Capsule, HalfSpace, Sphere
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
 
 
 def rotation(quaternion):

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dualbrain.safety.filter import Contact, FilterConfig, Obstacle
-
-from . import oracle
+from dualbrain.safety.cbf.filter import Contact, FilterConfig, Obstacle
+from tests.safety import oracle
 
 NUDGE = 1e-6
 

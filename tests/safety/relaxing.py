@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .active_set import Problem
-from .weighing import OBSTACLE, USER, Weighing
+from tests.safety.active_set import Problem
+from tests.safety.weighing import OBSTACLE, USER, Weighing
 
 GRANTED, GIVEN_UP, SOFT, SPARE = 4e-10, 1e-4, 1e-3, 0.05
 """[rad/s] beyond the least violation; [m/s] that counts; weight of the slack; share of the box that helps to stop."""

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter
-
-from . import oracle
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+from tests.safety import oracle
 
 
 def quaternion(rng):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .moments import BOX, CAPSULE, HALF_SPACE
+from tests.safety.moments import BOX, CAPSULE, HALF_SPACE
 
 FLOOR = 1e-3
 """[m] pairs nearer than this are always looked at."""

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from dualbrain.safety import _kernel64
-
-from . import moments
-from .active_set import DEPENDENT, Problem
+from dualbrain.safety.cbf.compiled import _kernel64
+from tests.safety import moments
+from tests.safety.active_set import DEPENDENT, Problem
 
 
 def problem(rng, *, slack):

@@ -4,14 +4,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.runtime.desk import as_specified
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.obstacles import from_scene
-from dualbrain.safety.spine import Spine
-from dualbrain.safety.supervised import ROUNDING, answers, intervention
-from dualbrain.world.catalogue import open_scene
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.safety.supervisor.controller import Spine
+from dualbrain.safety.supervisor.intervention import ROUNDING, answers, intervention
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 BODIES = ("panda", "ur5e", "fr3", "base")
 

@@ -9,9 +9,9 @@ import pytest
 
 from dualbrain.safety.barriers import BARRIERS
 from dualbrain.safety.barriers.__main__ import page
+from dualbrain.safety.barriers.scenarios import EXACT, advance, arm, arm_filter
 from dualbrain.safety.barriers.singularity import BENT, Singularity, least_singular_value
-from dualbrain.safety.barriers.trials import EXACT, advance, arm, arm_filter
-from dualbrain.safety.filter import SafetyFilter, Status
+from dualbrain.safety.cbf.filter import SafetyFilter, Status
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "dualbrain" / "safety" / "barriers"
 NAMES = sorted(BARRIERS)

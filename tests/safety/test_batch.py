@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import Bound, load_body
-from dualbrain.embodiment.differential_base import differential_base
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Pose, Sphere
-from dualbrain.safety.filter import Contact, Obstacle, Row, SafetyFilter, Status
-
-from . import scenes
+from dualbrain.robots.differential_drive import differential_base
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Bound
+from dualbrain.safety.cbf.filter import Contact, Obstacle, Row, SafetyFilter, Status
+from tests.safety import scenes
 
 PANDA = load_body("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])

@@ -4,12 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety import _kernel, _kernel64, _kernel64_wide, _kernel_wide, native
-from dualbrain.safety.filter import FilterConfig, SafetyFilter
-
-from .scenes import scene
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf import kernel
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64, _kernel64_wide, _kernel_wide
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
+from tests.safety.scenes import scene
 
 STEPS = 4000
 
@@ -20,7 +20,7 @@ def wide_only(monkeypatch):
 
     def make(body, config=None):
         with monkeypatch.context() as here:
-            here.setattr(native, "SIZES", ("_wide",))
+            here.setattr(kernel, "SIZES", ("_wide",))
             return SafetyFilter(body, config)
 
     return make
@@ -50,10 +50,10 @@ def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
 
 def test_the_smallest_build_with_room_is_taken(panda):
     balls = msgspec.structs.replace(panda, spheres=panda.spheres + panda.spheres[-9:])
-    assert native.build_for(panda, FilterConfig()) is _kernel
-    assert native.build_for(panda, FilterConfig(real="float64")) is _kernel64
-    assert native.build_for(balls, FilterConfig()) is _kernel_wide
-    assert native.build_for(balls, FilterConfig(real="float64")) is _kernel64_wide
+    assert kernel.build_for(panda, FilterConfig()) is _kernel
+    assert kernel.build_for(panda, FilterConfig(real="float64")) is _kernel64
+    assert kernel.build_for(balls, FilterConfig()) is _kernel_wide
+    assert kernel.build_for(balls, FilterConfig(real="float64")) is _kernel64_wide
     assert _kernel.source_hash == _kernel_wide.source_hash
 
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.safety.cbf.rows import Rank
 from dualbrain.safety.control_affine import Barrier, ControlAffine, ControlAffineFilter
-from dualbrain.safety.result import Reason, Status
-from dualbrain.safety.rows import Rank
 
 STATE = st.floats(-2.0, 2.0)
 NOMINAL = st.floats(-60.0, 60.0)

@@ -4,12 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety import _kernel64
-from dualbrain.safety.filter import Obstacle
-from dualbrain.safety.native import obstacle_rows
-
-from . import oracle, scenes
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.compiled import _kernel64
+from dualbrain.safety.cbf.filter import Obstacle
+from dualbrain.safety.cbf.kernel import obstacle_rows
+from tests.safety import oracle, scenes
 
 SHAPES = [Sphere(0.07), Capsule(0.04, 0.15), Box((0.05, 0.1, 0.2)), HalfSpace()]
 

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from dualbrain.safety import _kernel, _kernel64
-
-from . import moments
-from .surroundings import Thing
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64
+from tests.safety import moments
+from tests.safety.surroundings import Thing
 
 POSITION, MARGIN, ERROR, REACTION, BRAKE, APPROACH, ALPHA, RANK, SHAPE, RADIUS = 5, 24, 25, 26, 27, 28, 4, 2, 0, 20
 STATUS_STOPPED, OVERFLOW, BAD_SCENE, INFEASIBLE, JERK = 3, 16, 256, 128, 2048

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.safety.condition import Condition
-from dualbrain.safety.enforcement import Enforcement
-from dualbrain.safety.order import Order, Rung
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.supervisor.actions import Order, Rung
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.enforcement import Enforcement
 
 ROBOTS = ("panda", "fr3", "ur5e", "base", "mobile_panda")
 

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Pose, Sphere
-from dualbrain.safety.driven import driven
-from dualbrain.safety.environment import FilteredEnv
-from dualbrain.safety.filter import FilterConfig, Obstacle, SafetyFilter, Status
-from dualbrain.safety.shadow import Shadow
-
-from .environments import EXACT, PANDA, PERIOD, SLOW, THINGS, TORQUE, V_MAX, Push, Reach, filtered_by, least
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter, Status
+from dualbrain.safety.integration.derating import driven
+from dualbrain.safety.integration.gym_env import FilteredEnv
+from dualbrain.safety.integration.shadow_mode import Shadow
+from tests.safety.environments import EXACT, PANDA, PERIOD, SLOW, THINGS, TORQUE, V_MAX, Push, Reach, filtered_by, least
 
 SPEEDS = {"wish": lambda action: np.asarray(action, float) * V_MAX, "act": lambda u, _: (u / V_MAX).astype(np.float32)}
 TOLERANCE = 2e-6
@@ -207,7 +206,7 @@ def test_what_would_break_the_promise_is_refused():
 
 
 def test_without_gymnasium_the_extra_is_named():
-    code = "import sys; sys.modules['gymnasium'] = None; import dualbrain.safety.environment"
+    code = "import sys; sys.modules['gymnasium'] = None; import dualbrain.safety.integration.gym_env"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert (

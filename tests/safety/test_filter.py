@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.core.geometry.rotations import rotation_error
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.linalg import rotation_error
-from dualbrain.records import Box, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Contact, Obstacle, SafetyFilter, Status
-from dualbrain.safety.native import kernel_hash
-from dualbrain.safety.result import SPOKEN, Reason
-
-from . import scenes
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.kernel import kernel_hash
+from dualbrain.safety.cbf.result import SPOKEN, Reason
+from tests.safety import scenes
 
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)
 PANDA = load_body("panda")

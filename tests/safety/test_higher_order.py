@@ -7,17 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.obstacles import Obstacle, Separation
+from dualbrain.safety.cbf.result import Reason, Status
 from dualbrain.safety.higher_order import AccelerationConfig, AccelerationFilter
-from dualbrain.safety.higher_order.gaps import Solids
-from dualbrain.safety.higher_order.limits import acceleration_box, limits_of
-from dualbrain.safety.higher_order.motion import Spheres
-from dualbrain.safety.obstacles import Obstacle, Separation
-from dualbrain.safety.result import Reason, Status
-
-from . import mjcf, oracle, scenes
+from dualbrain.safety.higher_order.acceleration_box import acceleration_box, limits_of
+from dualbrain.safety.higher_order.distances import Solids
+from dualbrain.safety.higher_order.sphere_kinematics import Spheres
+from tests.safety import mjcf, oracle, scenes
 
 PANDA = load_body("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])

@@ -7,8 +7,8 @@ index or a sign that is wrong anywhere shows here, also where it would only cost
 import numpy as np
 import pytest
 
-from . import moments
-from .weighing import LOWER, OBSTACLE, SELF, UPPER, Weighing
+from tests.safety import moments
+from tests.safety.weighing import LOWER, OBSTACLE, SELF, UPPER, Weighing
 
 KINDS = {
     "still": {"moving": False, "apart": False, "permits": False, "held": 0, "rows": 0},

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.filter import SafetyFilter, Status
-from dualbrain.safety.result import Reason
-
-from . import oracle, scenes
+from dualbrain.safety.cbf.filter import SafetyFilter, Status
+from dualbrain.safety.cbf.result import Reason
+from tests.safety import oracle, scenes
 
 
 def test_a_body_without_jerk_limits_says_so(small):

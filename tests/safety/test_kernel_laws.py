@@ -6,13 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety import _kernel
-from dualbrain.safety.filter import Obstacle, SafetyFilter, Status
-from dualbrain.safety.result import Reason
-from dualbrain.safety.rows import Row
-
-from . import oracle, reference, scenes
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.compiled import _kernel
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.result import Reason
+from dualbrain.safety.cbf.rows import Row
+from tests.safety import oracle, reference, scenes
 
 FAR_OUTSIDE = 0.2
 """Beyond a joint's range by more the state is not believed [rad]."""

@@ -6,10 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.safety import _kernel, _kernel64
-from dualbrain.safety.filter import FilterConfig, SafetyFilter
-
-from . import mjcf, oracle
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
+from tests.safety import mjcf, oracle
 
 
 @pytest.mark.parametrize(("kernel", "tolerance"), [(_kernel, 2.5e-7), (_kernel64, 3e-16)])

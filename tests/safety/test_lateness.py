@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG
 from dualbrain.drivers.franka import FrankaDriver
 from dualbrain.drivers.ur import UrDriver
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.lateness import GAP, MOST, Lateness
-from dualbrain.safety.order import Rung
-from dualbrain.safety.spine import Spine
-from dualbrain.safety.timing import FRANKA, SIMULATED, UR
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.safety.supervisor.controller import Spine
+from dualbrain.safety.supervisor.loop_delay import GAP, MOST, Lateness
+from dualbrain.safety.supervisor.timing import FRANKA, SIMULATED, UR
 
 DT = 1e-3
 DRIVERS = {

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from . import moments
-from .moments import Moment
-from .test_edges import ERROR, MARGIN, ball, chain
-from .test_inside import asked
-from .weighing import Weighing
+from tests.safety import moments
+from tests.safety.moments import Moment
+from tests.safety.test_edges import ERROR, MARGIN, ball, chain
+from tests.safety.test_inside import asked
+from tests.safety.weighing import Weighing
 
 FAULT = 4
 SPEED = 1.0

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.solids import solid
-from dualbrain.records import Bowl, Box, Cylinder, HalfSpace, Pose, Scene, SceneObject, Sphere
-from dualbrain.safety.held import cover
-from dualbrain.safety.obstacles import from_scene
-
-from . import oracle, scenes
+from dualbrain.core.geometry.distance import solid
+from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, HalfSpace, Pose, Sphere
+from dualbrain.records import Scene, SceneObject
+from dualbrain.safety.cbf.grasped_object import cover
+from dualbrain.safety.cbf.obstacles import from_scene
+from tests.safety import oracle, scenes
 
 SIZE = st.floats(0.005, 0.2)
 

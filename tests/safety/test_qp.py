@@ -7,7 +7,7 @@ import numpy as np
 import piqp
 import pytest
 
-from dualbrain.safety import _kernel, _kernel64
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64
 
 
 def problem(rng, n=7):

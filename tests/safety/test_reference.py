@@ -11,12 +11,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Contact, Obstacle, SafetyFilter, Status
-from dualbrain.safety.obstacles import Separation
-from dualbrain.safety.rows import Row
-
-from . import reference, scenes
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.obstacles import Separation
+from dualbrain.safety.cbf.rows import Row
+from tests.safety import reference, scenes
 
 
 def sliding(body):

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from dualbrain.records import Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.barriers.trials import centres
-from dualbrain.safety.filter import Obstacle, Rank, Row, SafetyFilter, Status
-
-from . import oracle, scenes
+from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.barriers.scenarios import centres
+from dualbrain.safety.cbf.filter import Obstacle, Rank, Row, SafetyFilter, Status
+from tests.safety import oracle, scenes
 
 
 def lexicographic(rows, low, high):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from . import moments
-from .relaxing import Relaxing
-from .test_inside import KINDS, asked
+from tests.safety import moments
+from tests.safety.relaxing import Relaxing
+from tests.safety.test_inside import KINDS, asked
 
 
 def hard(rng, kind):

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Obstacle, SafetyFilter
-
-from . import oracle, scenes
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
+from tests.safety import oracle, scenes
 
 STEP = 1e-6
 

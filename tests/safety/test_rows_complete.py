@@ -8,12 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Contact, Obstacle, SafetyFilter
-from dualbrain.safety.result import Reason
-
-from . import exhaustive, oracle, scenes
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.robots.interface import RobotState
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter
+from dualbrain.safety.cbf.result import Reason
+from tests.safety import exhaustive, oracle, scenes
 
 SETTINGS = {
     "still": {},

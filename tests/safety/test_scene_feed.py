@@ -6,14 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box, Pose, Sphere
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.linalg import matrix
-from dualbrain.records import Box, Pose, Sphere
-from dualbrain.safety.filter import SafetyFilter, Status
-from dualbrain.safety.native import MOST_OBSTACLES
-from dualbrain.safety.result import Reason
-from dualbrain.safety.scene_feed import Mounted, Primitive, Refused, SceneFeed, Source, Updated
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter, Status
+from dualbrain.safety.cbf.kernel import MOST_OBSTACLES
+from dualbrain.safety.cbf.result import Reason
+from dualbrain.safety.integration.scene_fusion import Mounted, Primitive, Refused, SceneFeed, Source, Updated
 
 TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """A quarter turn about z."""

@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety.episode import Episode, EpisodeFile, read_episodes
-from dualbrain.safety.filter import Obstacle, SafetyFilter, Status
-from dualbrain.safety.shadow import DEAD_BAND, Shadow
-
-from . import scenes
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from dualbrain.safety.integration.intervention_log import Episode, EpisodeFile, read_episodes
+from dualbrain.safety.integration.shadow_mode import DEAD_BAND, Shadow
+from tests.safety import scenes
 
 TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)))
 SHELF = Obstacle("shelf", Box((0.2, 0.2, 0.01)), Pose((0.5, -0.1, 0.22)))
@@ -249,7 +248,7 @@ def test_a_torn_line_is_not_read_and_is_cut_off(tmp_path):
 def test_what_was_told_before_a_kill_is_there(tmp_path):
     path = tmp_path / "episodes.jsonl"
     code = (
-        "import os, signal; from pathlib import Path; from dualbrain.safety.episode import Episode, EpisodeFile;"
+        "import os, signal; from pathlib import Path; from dualbrain.safety.integration.intervention_log import Episode, EpisodeFile;"
         f"file = EpisodeFile(Path({str(path)!r}));"
         "[file(Episode(float(i), i + 0.5, 3, 0.1, float(i), 'x', 'MODIFIED', None, 'w')) for i in range(20)];"
         "os.kill(os.getpid(), signal.SIGKILL)"

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.site_file import SiteError, read_site
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.site import guarded_by, site_body, site_grants, site_obstacles
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.site_config import SiteError, read_site
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.integration.site import guarded_by, site_body, site_grants, site_obstacles
 
 WHOLE = """
 [robot]

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dualbrain.safety.checks import CHECKS, RESET_HELD, Clears, page
-from dualbrain.safety.condition import BUTTONS, Condition
-from dualbrain.safety.order import FREE, Cause, Rung
-from dualbrain.safety.supervisor import Supervisor
+from dualbrain.safety.supervisor.actions import FREE, Cause, Rung
+from dualbrain.safety.supervisor.checks import CHECKS, RESET_HELD, Clears, page
+from dualbrain.safety.supervisor.conditions import BUTTONS, Condition
+from dualbrain.safety.supervisor.supervisor import Supervisor
 
 C = Condition
 CONDITIONS = tuple(one for one in C if not one & BUTTONS)
@@ -75,7 +75,9 @@ def test_what_needs_a_person_is_exactly_what_the_design_says():
 
 def test_the_page_is_made_from_the_table():
     stored = Path(__file__).resolve().parents[2] / "docs" / "supervisor.md"
-    assert stored.read_text() == page(), "write it anew: python -m dualbrain.safety.checks > docs/supervisor.md"
+    assert stored.read_text() == page(), (
+        "write it anew: python -m dualbrain.safety.supervisor.checks > docs/supervisor.md"
+    )
 
 
 # --- laws over combinations -------------------------------------------------------------------------------------

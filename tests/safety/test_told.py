@@ -4,16 +4,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.linalg import matrix
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Sphere
-from dualbrain.safety import _kernel, native
-from dualbrain.safety.filter import FilterConfig, Obstacle
-from dualbrain.safety.native import model_of, obstacle_rows, steepest, tool_frame, tracking_error
-from dualbrain.safety.obstacles import Separation
-from dualbrain.safety.rows import Rank
-
-from . import oracle
+from dualbrain.safety.cbf import kernel
+from dualbrain.safety.cbf.compiled import _kernel
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle
+from dualbrain.safety.cbf.kernel import model_of, obstacle_rows, steepest, tool_frame, tracking_error
+from dualbrain.safety.cbf.obstacles import Separation
+from dualbrain.safety.cbf.rows import Rank
+from tests.safety import oracle
 
 POSE = Pose((0.1, -0.2, 0.3), (0.5, 0.5, -0.5, 0.5))
 SHAPES = {
@@ -51,7 +51,7 @@ def test_a_thing_without_particulars_is_for_every_part_and_asks_for_nothing_more
 
 def test_as_many_things_as_there_is_room_for():
     one = Obstacle("x", Sphere(0.1), POSE)
-    assert len(obstacle_rows([one] * 512)) == 512 == _kernel.max_obstacles == native.MOST_OBSTACLES
+    assert len(obstacle_rows([one] * 512)) == 512 == _kernel.max_obstacles == kernel.MOST_OBSTACLES
     with pytest.raises(InvalidSetup, match="obstacles at once") as told:
         obstacle_rows([one] * 513)
     assert (told.value.got, told.value.allowed) == (513, "at most 512")
@@ -103,7 +103,7 @@ def test_limits_are_the_bodys_or_never_bind(panda):
         assert told[name].tolist() == [getattr(joint, limit).value for joint in panda.joints]
     free = model_of(panda, FilterConfig(acceleration_limits=False))
     assert np.all(free["a_max"] * panda.period >= 2.0 * free["v_max"])
-    assert free["a_max"].tolist() == [native.UNLIMITED] * 7 == [1e4] * 7
+    assert free["a_max"].tolist() == [kernel.UNLIMITED] * 7 == [1e4] * 7
     assert not free["j_max"].any()
 
 
@@ -182,13 +182,13 @@ def test_pairs_are_told_the_nearer_link_first_and_what_is_held_is_kept_from_what
 
 def test_what_a_build_lacks_is_told_with_its_number(panda, monkeypatch):
     """One too many of anything is refused by name, with the number of the largest build that there is."""
-    monkeypatch.setattr(native, "SIZES", ("",))
-    assert native.build_for(panda, FilterConfig()) is _kernel
+    monkeypatch.setattr(kernel, "SIZES", ("",))
+    assert kernel.build_for(panda, FilterConfig()) is _kernel
     for what, change in (("spheres", {"spheres": panda.spheres * 3}), ("parts", {"links": panda.links * 4})):
         many = msgspec.structs.replace(panda, **change)
         with pytest.raises(InvalidSetup, match=what) as told:
-            native.build_for(many, FilterConfig())
+            kernel.build_for(many, FilterConfig())
         assert told.value.got == len(next(iter(change.values())))
-    assert native.kernel_hash() == _kernel.source_hash
-    assert len(native.kernel_hash()) == 16
+    assert kernel.kernel_hash() == _kernel.source_hash
+    assert len(kernel.kernel_hash()) == 16
     assert matrix(POSE.quaternion) == pytest.approx(oracle.rotation(POSE.quaternion))

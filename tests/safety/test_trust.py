@@ -12,11 +12,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Pose, Sphere
-from dualbrain.safety.filter import Obstacle, SafetyFilter, Status
-
-from . import scenes
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from tests.safety import scenes
 
 
 def optimum(A, b, lower, upper, u_nom, v_max):

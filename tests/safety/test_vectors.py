@@ -2,7 +2,7 @@
 
 import msgspec
 
-from . import vectors
+from tests.safety import vectors
 
 
 def test_recorded_steps_repeat_bit_for_bit():

@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.records import Box, HalfSpace, Pose, Sphere
-from dualbrain.safety.filter import Contact, FilterConfig, Obstacle, SafetyFilter
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Contact, FilterConfig, Obstacle, SafetyFilter
 
 FILE = Path(__file__).resolve().parents[2] / "vectors" / "filter_step.json"
 

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from .anatomy import Anatomy
-from .surroundings import BEYOND, FLOOR, separation_speed
+from tests.safety.anatomy import Anatomy
+from tests.safety.surroundings import BEYOND, FLOOR, separation_speed
 
 OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
 ZERO_GRADIENT, SHIFT, ROUNDED = 1e-4, 1e-10, 1e-5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.skills.test_in_physics import Bench, grasp, move_to, place
 
-from dualbrain.world.perception import EXACT, Noise
+from dualbrain.simulation.perception.noisy_perception import EXACT, Noise
 
 HOME = ("home", {"speed": 0.4})
 ERRANDS = [

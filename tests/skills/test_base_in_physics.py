@@ -8,14 +8,14 @@ import pytest
 from tests.world.hall import BASE, Hall, drive_to
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.robot import Command
-from dualbrain.records import Box, Pose
-from dualbrain.runtime.rules import scene_rules
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.skills.chassis import PERSON_PATIENCE, wrapped
-from dualbrain.skills.floor_path import clearance, floor_path
-from dualbrain.skills.thought import at_once
-from dualbrain.world.scene_spec import Thing
+from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.robots.interface import Command
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.simulation.scenes.scene_spec import Thing
+from dualbrain.skills.mobile_base.controller import PERSON_PATIENCE, wrapped
+from dualbrain.skills.mobile_base.path_planning import clearance, floor_path
+from dualbrain.skills.time_slicing import at_once
 
 
 @pytest.mark.parametrize(("family", "seed"), [("empty_room", 0), ("empty_room", 3), ("boxes", 1)])

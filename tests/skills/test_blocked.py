@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Box, HalfSpace, Pose, Scene, SceneObject
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.skills.journey import arrive, travel
-from dualbrain.skills.limb import Limb
-from dualbrain.skills.progress import STANDSTILL
-from dualbrain.skills.route import NEAR_BASE
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.skills.arm.controller import Limb
+from dualbrain.skills.arm.waypoints import NEAR_BASE, arrive, travel
+from dualbrain.skills.progress_watchdog import STANDSTILL
 from dualbrain.skills.skill import Ending, Senses, Status
-from dualbrain.skills.thought import at_once
+from dualbrain.skills.time_slicing import at_once
 
 BODY = load_body("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))

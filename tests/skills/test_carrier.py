@@ -4,26 +4,26 @@ import numpy as np
 import pytest
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.differential_base import driven_by
-from dualbrain.embodiment.robot import Command
-from dualbrain.records import UPRIGHT
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.desk import as_specified, limb_at_home
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.rules import scene_rules
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.carrier import Frame
-from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.agenda import Agenda, Home, Rested, errand_of
-from dualbrain.world.arrival import At
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.task import Goal, goal_of
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.geometry.shapes import UPRIGHT
+from dualbrain.grounding.offline_gate import as_specified, limb_at_home
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.multi_goal import Agenda, Home, Rested, errand_of
+from dualbrain.simulation.tasks.placement import Goal, goal_of
+from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.skills.mobile_manipulator import Frame
+from dualbrain.skills.registry import registry_of
 
 BODY = load_body("mobile_panda")
 GRASP = ("grasp", {"object": "red_cube", "force": 20.0, "speed": 0.2, "clearance": 0.1, "finger_axis": "along",

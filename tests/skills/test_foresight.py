@@ -5,16 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.embodiment.solids import distance
-from dualbrain.linalg import matrix
-from dualbrain.records import Box, Capsule, HalfSpace, Pose, Scene, SceneObject, Sphere
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.foresight import NEARER, STRIDE, Foresight, View
-from dualbrain.skills.limb import Goal
+from dualbrain.core.geometry.distance import distance
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.skills.arm.controller import Goal
+from dualbrain.skills.kinematics.clearance_prediction import NEARER, STRIDE, Foresight, View
 from dualbrain.skills.skill import Touch
-from dualbrain.skills.thought import at_once
+from dualbrain.skills.time_slicing import at_once
 
 BODY = load_body("panda")
 SAFETY = SafetyFilter(BODY)

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.linalg import matrix
-from dualbrain.records import Bowl, Box, Capsule, Cylinder, Pose, SceneObject, Sphere
-from dualbrain.skills import geometry
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Sphere
+from dualbrain.records import SceneObject
+from dualbrain.skills.kinematics import object_geometry
 
 yaws = st.floats(-np.pi, np.pi)
 
@@ -22,23 +23,23 @@ def thing(shape, yaw=0.0, z=0.1, tilt=0.0):
     return SceneObject("thing", "object", shape, Pose((0.5, 0.1, z), quaternion))
 
 
-@pytest.mark.parametrize("approach", geometry.APPROACH_LEAN)
+@pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)
 @given(yaw=yaws, towards=yaws)
 def test_grasp_rotations_are_rotations_with_a_level_finger_axis_and_the_declared_lean(approach, yaw, towards):
     direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     outward = np.array([np.cos(towards), np.sin(towards), 0.0])
-    for R in geometry.grasp_rotations(direction, approach, outward):
+    for R in object_geometry.grasp_rotations(direction, approach, outward):
         assert np.allclose(R.T @ R, np.eye(3), atol=1e-12)
         assert np.isclose(np.linalg.det(R), 1.0)
         assert np.isclose(abs(R[:, 1] @ direction), 1.0)
-        assert np.isclose(np.arccos(np.clip(-R[2, 2], -1, 1)), geometry.APPROACH_LEAN[approach], atol=1e-6)
+        assert np.isclose(np.arccos(np.clip(-R[2, 2], -1, 1)), object_geometry.APPROACH_LEAN[approach], atol=1e-6)
 
 
 @given(yaw=yaws)
 def test_the_first_lean_points_away_from_the_base(yaw):
     direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     outward = np.array([1.0, 0.0, 0.0])
-    R = geometry.grasp_rotations(direction, "side", outward)[0]
+    R = object_geometry.grasp_rotations(direction, "side", outward)[0]
     assert R[:, 2] @ outward >= -1e-9
 
 
@@ -47,8 +48,8 @@ def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
     box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
     heights = (corners @ matrix(box.pose.quaternion).T)[:, 2] + 0.1
-    assert np.isclose(geometry.top(box), heights.max())
-    assert np.isclose(geometry.bottom(box), heights.min())
+    assert np.isclose(object_geometry.top(box), heights.max())
+    assert np.isclose(object_geometry.bottom(box), heights.min())
 
 
 @pytest.mark.parametrize(
@@ -61,14 +62,14 @@ def test_a_box_reaches_as_high_as_its_highest_corner(yaw, tilt):
     ],
 )
 def test_upright_extents(shape, top, wide):
-    assert np.isclose(geometry.top(thing(shape)), top)
-    assert np.isclose(geometry.width(thing(shape), "along"), wide)
+    assert np.isclose(object_geometry.top(thing(shape)), top)
+    assert np.isclose(object_geometry.width(thing(shape), "along"), wide)
 
 
 @given(yaw=yaws)
 def test_along_and_across_are_perpendicular_and_level(yaw):
     box = thing(Box((0.02, 0.03, 0.05)), yaw)
-    along, across = geometry.finger_direction(box, "along"), geometry.finger_direction(box, "across")
+    along, across = object_geometry.finger_direction(box, "along"), object_geometry.finger_direction(box, "across")
     assert np.isclose(along @ across, 0.0)
     assert along[2] == across[2] == 0.0
     assert np.isclose(np.linalg.norm(along), 1.0)
@@ -79,12 +80,12 @@ def test_the_width_between_fingers_is_that_of_the_corners(yaw, tilt):
     box = thing(Box((0.02, 0.03, 0.05)), yaw, tilt=tilt)
     corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * (0.02, 0.03, 0.05)
     for axis in ("along", "across"):
-        reach = corners @ matrix(box.pose.quaternion).T @ geometry.finger_direction(box, axis)
-        assert np.isclose(geometry.width(box, axis), np.ptp(reach))
+        reach = corners @ matrix(box.pose.quaternion).T @ object_geometry.finger_direction(box, axis)
+        assert np.isclose(object_geometry.width(box, axis), np.ptp(reach))
 
 
 def test_a_lying_cylinder_is_as_wide_as_it_is_long():
     lying = thing(Cylinder(0.02, 0.06), tilt=np.pi / 2)
-    assert np.isclose(geometry.width(lying, "along"), 0.04)
-    assert np.isclose(geometry.levelness(lying, "along"), 1.0)
-    assert np.isclose(geometry.levelness(lying, "across"), 0.0, atol=1e-9)
+    assert np.isclose(object_geometry.width(lying, "along"), 0.04)
+    assert np.isclose(object_geometry.levelness(lying, "along"), 1.0)
+    assert np.isclose(object_geometry.levelness(lying, "across"), 0.0, atol=1e-9)

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Box, Cylinder, HalfSpace, Pose, Scene, SceneObject
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills import geometry, grasp
-from dualbrain.skills.grasp_pose import (
+from dualbrain.core.geometry.shapes import Box, Cylinder, HalfSpace, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.skills.arm import grasp
+from dualbrain.skills.arm.controller import Goal, Limb
+from dualbrain.skills.arm.grasp_planning import (
     brink,
     comfortable_first,
     descent_room,
@@ -17,9 +19,9 @@ from dualbrain.skills.grasp_pose import (
     other_choices,
     station,
 )
-from dualbrain.skills.limb import Goal, Limb
+from dualbrain.skills.kinematics import object_geometry
 from dualbrain.skills.skill import Senses
-from dualbrain.skills.thought import AIR, at_once, clearest, found
+from dualbrain.skills.time_slicing import AIR, at_once, clearest, found
 
 BODY = load_body("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)))
@@ -46,7 +48,7 @@ def plainly(arm, axis="along", approach="top"):
     return at_once(grasp_goal(arm, CUBE, axis, approach))
 
 
-@pytest.mark.parametrize("approach", geometry.APPROACH_LEAN)
+@pytest.mark.parametrize("approach", object_geometry.APPROACH_LEAN)
 @pytest.mark.parametrize("axis", ["along", "across"])
 def test_what_stands_free_is_grasped_plainly(axis, approach):
     arm = limb()

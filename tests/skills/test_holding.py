@@ -3,13 +3,14 @@
 import pytest
 from tests.skills.test_in_physics import Bench, grasp
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Box, HalfSpace, Pose, Scene, SceneObject
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.limb import Limb
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise
+from dualbrain.skills.arm.controller import Limb
 from dualbrain.skills.skill import Senses
-from dualbrain.world.perception import Noise
 
 BODY = load_body("panda")
 TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.1)))

@@ -6,17 +6,17 @@ import pytest
 from tests.stories.rig import GRASP, PLACE
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.records import Pose
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.perception import EXACT, Noise, Perception
-from dualbrain.world.plant import Plant
-from dualbrain.world.scenes import make_scene
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.world import SimulatedWorld
 
 
 class Bench:

@@ -4,11 +4,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.linalg import quaternion
-from dualbrain.records import Capsule, Pose, Scene, SceneObject
-from dualbrain.skills.person import may_be_over
-from dualbrain.skills.progress import STANDSTILL, Progress
-from dualbrain.skills.route import NEAR_BASE, REACH, bend
+from dualbrain.core.geometry.rotations import quaternion
+from dualbrain.core.geometry.shapes import Capsule, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.skills.arm.waypoints import NEAR_BASE, REACH, bend
+from dualbrain.skills.human_prediction import may_be_over
+from dualbrain.skills.progress_watchdog import STANDSTILL, Progress
 
 START, END = np.array([0.5, -0.22, 0.2]), np.array([0.5, 0.26, 0.2])
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tests.world.hall import Hall
 
 from dualbrain.records import Scene
-from dualbrain.skills.person import LOOK_EVERY, room_left
+from dualbrain.skills.human_prediction import LOOK_EVERY, room_left
 
 SCENE = Hall("crossing", 2).layer.scene
 HORIZON = 6.0

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import RobotState
-from dualbrain.linalg import rotation_error
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.resolved_rate import ResolvedRate, gap_to, way_round
+from dualbrain.core.geometry.rotations import rotation_error
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.skills.kinematics.resolved_rate import ResolvedRate, gap_to, way_round
 
 PERIOD = 1e-3
 AXIS = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda a: np.linalg.norm(a) > 0.1)

@@ -5,14 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import at_home
-from dualbrain.records import Box, HalfSpace, Pose, Scene, SceneObject
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.skills.limb import Limb
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose
+from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.skills.arm.controller import Limb
+from dualbrain.skills.registry import Running, limb_of
 from dualbrain.skills.skill import Nominal, Senses
-from dualbrain.skills.thought import AIR, PACE, Aside, at_once, clearest, glances
-from dualbrain.skills.vocabulary import Running, limb_of
+from dualbrain.skills.time_slicing import AIR, PACE, Aside, at_once, clearest, glances
 
 rooms_of = st.lists(st.floats(-0.1, 0.1), max_size=8)
 

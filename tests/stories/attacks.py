@@ -9,10 +9,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from dualbrain.contracts.gate import Gate
-from dualbrain.contracts.parse import MAX_BYTES
+from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.gate.parse import MAX_BYTES
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Verdict
 from tests.contracts.arm import NAMES, PRINCIPAL, REGISTRY
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.cli.folders import cache
-from dualbrain.memory.ledger import LedgerReader
+from dualbrain.cli.common.paths import cache
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.ledger.ledger import LedgerReader
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Episode
 from dualbrain.runtime import session as session_module
 from dualbrain.runtime.session import Finished, Onlooker, RunConfig, Session, Times
-from dualbrain.runtime.vocabulary import vocabulary
 
 REGISTRY = vocabulary("panda").hash
 WORDS = "put the red cube in the bowl"

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from dualbrain.cli.account import exit_code, summary
-from dualbrain.cli.exits import Exit
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code, summary
 from dualbrain.contracts.verdict import Accepted, Rejected
-from dualbrain.planner.prompt import render
-
-from .rig import GRASP, PLACE, contract, decline, ledger_episodes, ledger_kinds, pause, play, settings
+from dualbrain.planner.prompt.full_prompt import render
+from tests.stories.rig import GRASP, PLACE, contract, decline, ledger_episodes, ledger_kinds, pause, play, settings
 
 MOVED = 1e-6
 """Joint angles [rad] that an arm at rest keeps."""

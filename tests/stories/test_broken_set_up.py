@@ -11,17 +11,16 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain import weights
-from dualbrain.cli.folders import cache
+from dualbrain.cli.common.paths import cache
 from dualbrain.cli.main import call
+from dualbrain.core import weights
 from dualbrain.errors import InvalidSetup
-from dualbrain.memory.encoder import ENCODER, TOKENIZER
-from dualbrain.memory.ledger import Ledger
+from dualbrain.memory.embedding.text_encoder import ENCODER, TOKENIZER
+from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.runtime.session import FILES
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.scene_spec import save_scene
-
-from .rig import contract, pause, play, settings
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import save_scene
+from tests.stories.rig import contract, pause, play, settings
 
 
 @pytest.fixture

@@ -4,17 +4,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.cli.account import exit_code
-from dualbrain.cli.exits import Exit
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.records import Box
-from dualbrain.runtime.recording import read_trace
-from dualbrain.runtime.replay import replay
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.scene_spec import Thing, save_scene
+from dualbrain.control.recording.channels import read_trace
+from dualbrain.control.recording.replay import replay
+from dualbrain.core.geometry.shapes import Box
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import Thing, save_scene
 from tests.once import once
-
-from .rig import GRASP, PLACE, contract, ledger_episodes, play, settings
+from tests.stories.rig import GRASP, PLACE, contract, ledger_episodes, play, settings
 
 PICK = contract(("grasp", GRASP), ("place", PLACE))
 

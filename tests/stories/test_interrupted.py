@@ -12,17 +12,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.cli.account import exit_code, summary
-from dualbrain.cli.exits import Exit
-from dualbrain.embodiment.body import load_body
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code, summary
+from dualbrain.control.recording.channels import read_trace, recording_state
+from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Episode
-from dualbrain.runtime.recording import read_trace, recording_state
-from dualbrain.runtime.replay import replay
+from dualbrain.robots.loader import load_body
 from dualbrain.runtime.session import Onlooker
 from tests.once import once
-
-from .rig import GRASP, PLACE, contract, ledger_episodes, ledger_kinds, pause, play, settings
+from tests.stories.rig import GRASP, PLACE, contract, ledger_episodes, ledger_kinds, pause, play, settings
 
 RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
 PICK = contract(("grasp", GRASP), ("place", PLACE))

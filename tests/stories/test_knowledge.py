@@ -4,10 +4,10 @@ import pytest
 
 from dualbrain.cli.knowledge import add
 from dualbrain.errors import InvalidSetup
-from dualbrain.planner.prompt import render
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Exemplar
-from dualbrain.runtime.vocabulary import vocabulary
-from dualbrain.world.scene_spec import load_scene
+from dualbrain.simulation.scenes.scene_spec import load_scene
 from tests.stories.rig import contract, pause, play, settings
 
 MAP = """

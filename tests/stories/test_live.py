@@ -5,12 +5,11 @@ import json
 import pytest
 
 from dualbrain.cli.main import call
+from dualbrain.control.recording.replay import replay
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.runtime.live_session import ADDRESS, LiveSession
-from dualbrain.runtime.replay import replay
 from dualbrain.runtime.session import Onlooker
-
-from .rig import contract, ledger_episodes, pause, settings, times
+from tests.stories.rig import contract, ledger_episodes, pause, settings, times
 
 pytestmark = pytest.mark.slow
 """Real time: it needs a machine that does nothing else."""

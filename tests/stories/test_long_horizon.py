@@ -2,9 +2,8 @@
 
 import pytest
 
-from dualbrain.planner.prompt import render
-
-from .rig import GRASP, PLACE, contract, play, settings
+from dualbrain.planner.prompt.full_prompt import render
+from tests.stories.rig import GRASP, PLACE, contract, play, settings
 
 CASES = {
     "all of a colour": ("sorting:2", "put all the red things in the bowl", "put all red things in the blue bowl",

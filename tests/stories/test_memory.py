@@ -2,13 +2,12 @@
 
 import pytest
 
-from dualbrain.cli.account import exit_code
-from dualbrain.cli.exits import Exit
-from dualbrain.planner.prompt import render
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code
+from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Recall
 from tests.once import once
-
-from .rig import contract, decline, ledger_episodes, pause, play, settings
+from tests.stories.rig import contract, decline, ledger_episodes, pause, play, settings
 
 GOAL = "put the red_cube in the blue_bowl"
 BAD = contract(("throw", {"object": "red_cube"}))

@@ -3,16 +3,16 @@
 import numpy as np
 
 from dualbrain.contracts.contract import Action, Context, Contract
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.control_tick import LayerConfig
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.rooms import make_room
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Trace
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.rooms import make_room
+from dualbrain.simulation.world import SimulatedWorld
 
 BASE = load_body("base")
 

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.robot import Command
-from dualbrain.world.plant import Plant
-from dualbrain.world.scenes import make_scene
+from dualbrain.robots.interface import Command
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
 
 BODY = load_body("panda")
 HOME = np.array(BODY.home)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.world.agenda import Agenda, AgendaReferee, Home, errand_of
-from dualbrain.world.arrival import At
-from dualbrain.world.rooms import make_room
-from dualbrain.world.scenes import make_scene
-from dualbrain.world.task import Goal
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.scenes.generators.rooms import make_room
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.multi_goal import Agenda, AgendaReferee, Home, errand_of
+from dualbrain.simulation.tasks.placement import Goal
 from tests.world.hand import BODY, Plant, rest
 
 FREE, TAKEN = make_scene("sorting", 0), make_scene("sorting", 1)

@@ -4,15 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.differential_base import driven_by
-from dualbrain.embodiment.robot import Command
+from dualbrain.core.geometry.shapes import Box
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.records import Box
-from dualbrain.world.arrival import At
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.rooms import ROOMS, make_room
-from dualbrain.world.scene_spec import Thing, load_scene, save_scene
-from dualbrain.world.task import goal_of
+from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.interface import Command
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.rooms import ROOMS, make_room
+from dualbrain.simulation.scenes.scene_spec import Thing, load_scene, save_scene
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.placement import goal_of
 from tests.world.hall import BASE, Hall
 
 AMAX = np.array([joint.acceleration.value for joint in BASE.joints])

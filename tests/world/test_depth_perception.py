@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
+from dualbrain.core.geometry.shapes import Bowl, Box, Cylinder, Pose
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import Bowl, Box, Cylinder, Pose
-from dualbrain.world.depth_perception import ERROR, DepthPerception, kind_of_shape
-from dualbrain.world.primitives import Primitive
-from dualbrain.world.scenes import make_scene
+from dualbrain.simulation.perception.depth_perception import ERROR, DepthPerception, kind_of_shape
+from dualbrain.simulation.perception.primitive_fitting import Primitive
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
 from tests.world.hand import pick, plant, rest, yaw_of
 from tests.world.test_pictures import run
 from tests.world.test_primitives import box, ring, shown
 
 LOOK = """
 import numpy as np
-from dualbrain.world.depth_camera import DepthCamera
-from dualbrain.world.depth_perception import ERROR, DepthPerception
+from dualbrain.simulation.perception.depth_camera import DepthCamera
+from dualbrain.simulation.perception.depth_perception import ERROR, DepthPerception
 from tests.world.hand import plant, rest
 p = plant("tabletop", 1)
 with DepthCamera(p) as camera:

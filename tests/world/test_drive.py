@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.robot import Command
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.world.drive import KINDS, LOAD_SHARE, TORQUE_LAG, motors_of, named_drive
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_builder import PERIOD
-from dualbrain.world.scene_spec import SceneSpec
-from dualbrain.world.stepped_plant import SteppedPlant
+from dualbrain.robots.interface import Command
+from dualbrain.simulation.plant.joint_drive import KINDS, LOAD_SHARE, TORQUE_LAG, motors_of, named_drive
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.plant.stepped_plant import SteppedPlant
+from dualbrain.simulation.scenes.scene_builder import PERIOD
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
 from tests.world.hand import BODY, HOME, rest, servo, top_down
 
 EMPTY = SceneSpec("panda", "test", 0, (), ())

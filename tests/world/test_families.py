@@ -3,9 +3,9 @@
 import pytest
 
 from dualbrain.errors import UnknownName
-from dualbrain.world.arrival import At
-from dualbrain.world.families import ASKS, FAMILIES, LEVELS, assign, families_of
-from dualbrain.world.scene_spec import check_scene
+from dualbrain.simulation.scenes.scene_spec import check_scene
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.families import ASKS, FAMILIES, LEVELS, assign, families_of
 
 ROBOTS = ("panda", "ur5e", "base")
 EVERY = [(robot, family, level) for robot in ROBOTS for family in families_of(robot) for level in LEVELS]

@@ -4,8 +4,8 @@ import msgspec
 import pytest
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.world.families import FAMILIES, LEVELS, assign, families_of
-from dualbrain.world.frozen import FILE, check_frozen, frozen_hash, frozen_table, scene_hash
+from dualbrain.simulation.tasks.families import FAMILIES, LEVELS, assign, families_of
+from dualbrain.simulation.tasks.scene_hashes import FILE, check_frozen, frozen_hash, frozen_table, scene_hash
 
 FIRST, COUNT = 40_000, 50
 

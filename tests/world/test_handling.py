@@ -6,12 +6,12 @@ import pytest
 
 from dualbrain.errors import UnknownName
 from dualbrain.records import Violation
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.world.families import assign
-from dualbrain.world.handling import HARMS, SHAKE, TILT, unharmed
-from dualbrain.world.monitor import UNITS, Monitor
-from dualbrain.world.perception import EXACT, Perception
-from dualbrain.world.plant import Plant
+from dualbrain.simulation.monitoring.handling import HARMS, SHAKE, TILT, unharmed
+from dualbrain.simulation.monitoring.safety_monitor import UNITS, Monitor
+from dualbrain.simulation.perception.noisy_perception import EXACT, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.tasks.families import assign
+from dualbrain.simulation.world import SimulatedWorld
 from tests.world.hand import BODY, rest
 
 GIVEN = assign("fragile_transfer", "II", 1, "panda")

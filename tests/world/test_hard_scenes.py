@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.records import Box
-from dualbrain.runtime.desk import as_specified
-from dualbrain.runtime.summary import summarise
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.mover import path_of
-from dualbrain.world.scenes import FAMILIES, HARD, make_scene
+from dualbrain.core.geometry.shapes import Box
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.scene_summary import summarise
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.tabletop import FAMILIES, HARD, make_scene
+from dualbrain.simulation.scenes.moving_person import path_of
 
 seeds = st.integers(0, 10**6)
 LEVEL_ONE = "ba0ee03e7991d0823e6d0cbc53829cb61e87ccd13b9aaa38876ce68b795cab3c"

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.embodiment.body import Tracking, load_body
 from dualbrain.errors import InvalidSetup
-from dualbrain.world.excitation import EXCITATIONS, Log, excite
-from dualbrain.world.identify import SAFETY_FACTOR, fit, identify_plant, leaky_error
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Tracking
+from dualbrain.simulation.identification.excitation import EXCITATIONS, Log, excite
+from dualbrain.simulation.identification.tracking_model import SAFETY_FACTOR, fit, identify_plant, leaky_error
 
 PANDA = load_body("panda")
 PERIOD, RATE = 1e-3, 3.45

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.robot import Command
+from dualbrain.core.geometry.shapes import Box, Cylinder
 from dualbrain.errors import UnknownName
-from dualbrain.records import Box, Cylinder
-from dualbrain.world.contact_rules import PHASES
-from dualbrain.world.monitor import UNITS, Monitor
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import Mover, SceneSpec, Thing
+from dualbrain.robots.interface import Command
+from dualbrain.simulation.monitoring.contact_rules import PHASES
+from dualbrain.simulation.monitoring.safety_monitor import UNITS, Monitor
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.scene_spec import Mover, SceneSpec, Thing
 from tests.world.hand import BODY, HOME, pick, plant, rest, servo, top_down
 
 BLOCK = Thing("grey_block", "object", Box((0.03, 0.03, 0.06)), (0.5, 0.0, 0.06), 0.3, "grey", "block")

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.world.mover import ACCELERATION, path_of
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import Mover, SceneSpec
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.moving_person import ACCELERATION, path_of
+from dualbrain.simulation.scenes.scene_spec import Mover, SceneSpec
 from tests.world.hand import BODY, HOME, plant, rest
 
 movers = st.builds(

@@ -6,8 +6,8 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from dualbrain.world.model_provider import robot_model
-from dualbrain.world.visual_meshes import mesh_folder
+from dualbrain.simulation.models.mujoco_model import robot_model
+from dualbrain.simulation.models.visual_meshes import mesh_folder
 from tests.world.hand import BODY
 
 G = mujoco.mjtGeom

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.core.geometry.shapes import HalfSpace
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import HalfSpace
-from dualbrain.world.perception import EXACT, Noise, Perception
+from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
 from tests.world.hand import plant, rest
 
 SCENE = plant("forearm", 1)

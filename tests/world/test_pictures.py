@@ -7,11 +7,11 @@ import sys
 import pytest
 
 from dualbrain.errors import UnknownName
-from dualbrain.world.looks import colour_of
+from dualbrain.simulation.scenes.appearance import colour_of
 
 SNAP = """
 import numpy as np
-from dualbrain.world.pictures import Camera
+from dualbrain.simulation.perception.rendering import Camera
 from tests.world.hand import plant
 p = plant("tabletop", 3, visuals=True)
 with Camera(p, width=320, height=240) as camera:
@@ -33,7 +33,7 @@ with Camera(p, width=320, height=240) as camera:
 NO_GL = """
 import mujoco
 from dualbrain.errors import MissingPart
-from dualbrain.world.pictures import Camera
+from dualbrain.simulation.perception.rendering import Camera
 from tests.world.hand import plant
 try:
     Camera(plant())

@@ -4,14 +4,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.robot import Command, Robot
+from dualbrain.core.geometry.shapes import Cylinder
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.records import Cylinder
-from dualbrain.world.drive import KINDS
-from dualbrain.world.model_provider import robot_model
-from dualbrain.world.plant import Plant
-from dualbrain.world.scene_spec import Thing
-from dualbrain.world.scenes import make_scene
+from dualbrain.robots.interface import Command, Robot
+from dualbrain.simulation.models.mujoco_model import robot_model
+from dualbrain.simulation.plant.joint_drive import KINDS
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.scenes.scene_spec import Thing
 from tests.world.hand import BODY, HOME, pick, plant, rest, servo, top_down, yaw_of
 
 VMAX = np.array([joint.velocity.value for joint in BODY.joints])

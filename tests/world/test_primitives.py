@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dualbrain.records import Bowl, Cylinder
-from dualbrain.world.looks import COLOURS
-from dualbrain.world.primitives import EXPOSURE, LIFT, THINGS, colour_name, primitives
+from dualbrain.core.geometry.shapes import Bowl, Cylinder
+from dualbrain.simulation.perception.primitive_fitting import EXPOSURE, LIFT, THINGS, colour_name, primitives
+from dualbrain.simulation.scenes.appearance import COLOURS
 
 STEP = 0.002
 places = st.tuples(st.floats(0.3, 0.7), st.floats(-0.4, 0.4), st.floats(-np.pi, np.pi))

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dualbrain.core.geometry.shapes import Box, Cylinder
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.records import Box, Cylinder
-from dualbrain.world.scenes import ALL_FAMILIES, load_scene, make_scene, save_scene
+from dualbrain.simulation.scenes.generators.tabletop import ALL_FAMILIES, load_scene, make_scene, save_scene
 from tests.world.hand import plant
 
 families = st.sampled_from(sorted(ALL_FAMILIES))

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import BODIES, load_body
-from dualbrain.linalg import matrix
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.surfaces import COLLIDING, surfaces
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.robots.loader import BODIES, load_body
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.plant.render_meshes import COLLIDING, surfaces
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
 
 @pytest.mark.parametrize("robot", BODIES)

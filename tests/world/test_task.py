@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.world.scenes import make_scene
-from dualbrain.world.task import Goal, Referee, goal_of, judge
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.placement import Goal, Referee, goal_of, judge
 from tests.world.hand import pick, plant, rest, servo, top_down
 
 IN_BOWL = Goal("red_cube", "blue_bowl")

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dualbrain.embodiment import ur5e
-from dualbrain.embodiment.body import load_body
-from dualbrain.world.hulls import arm_hulls, thinned
-from dualbrain.world.model_provider import robot_model
+from dualbrain.robots.builtin import ur5e
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.models.collision_hulls import arm_hulls, thinned
+from dualbrain.simulation.models.mujoco_model import robot_model
 from tests.world.test_panda_model import frame, spin
 
 BODY = load_body("ur5e")

@@ -5,9 +5,9 @@ import hashlib
 import pytest
 
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.world.scenes import make_scene
-from dualbrain.world.task import Goal, goal_of
-from dualbrain.world.wordings import FILE, SALT, SLOTS, kind_of, kinds, spoken, wordings, wordings_hash
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.instructions import FILE, SALT, SLOTS, kind_of, kinds, spoken, wordings, wordings_hash
+from dualbrain.simulation.tasks.placement import Goal, goal_of
 
 NAMES = dict.fromkeys(SLOTS, "red_cube") | {"target": "blue_bowl", "second_target": "table_left"}
 EVERY = tuple(one for kind in kinds() for one in wordings(kind))

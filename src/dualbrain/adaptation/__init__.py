@@ -1,1 +1,1 @@
-"""How it learns at night (paper 6): clean episodes, objective, fitting an adapter, the registry that promotes it."""
+"""Offline fine-tuning of the planner (paper 6): curation, training, adapter registry, serving."""

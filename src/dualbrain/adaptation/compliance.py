@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from dualbrain.adaptation.sample import Sample
-from dualbrain.contracts.gate import Gate
+from dualbrain.adaptation.curation.sample import Sample
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.verdict import Accepted
 
@@ -17,7 +17,7 @@ def gate_judge(registry: Registry) -> Judge:
     """Accepts what syntax, authorization, bounds and the scene's names allow; to decline is no compliant answer here.
 
     Every sample was done by the robot, so that declining it is wrong; else a planner would comply by never acting. The
-    envelope's rules on geometry and body (order of the hand, opening, reach, free floor: `runtime/rules.py`) are not
+    envelope's rules on geometry and body (order of the hand, opening, reach, free floor: `grounding/scene_rules.py`) are not
     asked, for a sample holds neither; they are where a contract is carried out, and in the proofs `language`, `rounds`.
     """
     gate = Gate(registry, {"planner": frozenset(registry.by_name)})

@@ -8,7 +8,7 @@ from typing import Literal
 
 import msgspec
 
-from dualbrain.adaptation.curate import Curation
+from dualbrain.adaptation.curation.curate import Curation
 from dualbrain.errors import UNREADABLE, InvalidSetup
 
 Gate = Literal["none", "sample", "token"]

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from dualbrain import __version__, weights
-from dualbrain.cli.console import listing
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import cache, home
-from dualbrain.cli.graphics import choose_graphics
+from dualbrain import __version__
+from dualbrain.cli.common.console import listing
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.graphics import choose_graphics
+from dualbrain.cli.common.paths import cache, home
+from dualbrain.core import weights
 from dualbrain.errors import DualbrainError
 
 
@@ -50,10 +51,10 @@ def _told(findings: list[Finding]) -> int:
 
 def _robot(robot: str) -> list[Finding]:
     """What is missing of one robot; whether the kernel has room for it."""
-    from dualbrain.embodiment.body import load_body
-    from dualbrain.embodiment.description.folder import read_report
-    from dualbrain.embodiment.description.page import gaps
-    from dualbrain.safety.filter import SafetyFilter
+    from dualbrain.robots.importer.output.markdown import gaps
+    from dualbrain.robots.importer.output.robot_folder import read_report
+    from dualbrain.robots.loader import load_body
+    from dualbrain.safety.cbf.filter import SafetyFilter
 
     body, folder = load_body(robot), Path(robot)
     SafetyFilter(body)
@@ -86,18 +87,18 @@ def _version(name: str) -> str:
 
 
 def _kernel() -> list[Finding]:
-    from dualbrain.safety.native import kernel_hash
+    from dualbrain.safety.cbf.kernel import kernel_hash
 
     return [Finding("kernel", True, f"float32, C99, source hash {kernel_hash()}")]
 
 
 def _latency() -> list[Finding]:
-    from dualbrain.embodiment.body import load_body
-    from dualbrain.embodiment.robot import at_home
-    from dualbrain.runtime.desk import as_specified
-    from dualbrain.safety.filter import SafetyFilter
-    from dualbrain.safety.obstacles import from_scene
-    from dualbrain.world.catalogue import open_scene
+    from dualbrain.grounding.offline_gate import as_specified
+    from dualbrain.robots.interface import at_home
+    from dualbrain.robots.loader import load_body
+    from dualbrain.safety.cbf.filter import SafetyFilter
+    from dualbrain.safety.cbf.obstacles import from_scene
+    from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     body = load_body("panda")
     safety, state = SafetyFilter(body), at_home(body)
@@ -117,10 +118,10 @@ def _latency() -> list[Finding]:
 
 def _rendering() -> list[Finding]:
     why = choose_graphics(os.environ)
-    from dualbrain.embodiment.body import load_body
-    from dualbrain.world.catalogue import open_scene
-    from dualbrain.world.pictures import INSTALL, Camera
-    from dualbrain.world.plant import Plant
+    from dualbrain.robots.loader import load_body
+    from dualbrain.simulation.perception.rendering import INSTALL, Camera
+    from dualbrain.simulation.plant.plant import Plant
+    from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     if why:
         return [Finding("rendering", False, f"{why}. {INSTALL}")]
@@ -140,7 +141,7 @@ def _models() -> list[Finding]:
 
 
 def _memory() -> list[Finding]:
-    from dualbrain.memory.ledger import LedgerReader
+    from dualbrain.memory.ledger.ledger import LedgerReader
 
     path: Path = home() / "ledger.sqlite"
     if not path.exists():

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import home
-from dualbrain.cli.share import share
+from dualbrain.cli.common.arguments import share
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.paths import home
 
 Act = Literal["pause", "resume", "abort", "takeover", "hand_back", "speed", "estop", "release_estop", "reset",
               "shut_down"]  # fmt: skip
@@ -64,9 +64,10 @@ def gatekeeper(
     """
     import msgspec
 
-    from dualbrain.cli.console import answer
-    from dualbrain.runtime.gatekeeper.spawn import Plan, keep
-    from dualbrain.world.catalogue import open_scene
+    from dualbrain.cli.common.console import answer
+    from dualbrain.control.gatekeeper.config import Plan
+    from dualbrain.control.gatekeeper.process import keep
+    from dualbrain.simulation.scenes.generators.catalogue import open_scene
 
     where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
     plan = Plan(
@@ -107,9 +108,9 @@ def operate(
     """
     import time
 
+    from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+    from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
     from dualbrain.errors import InvalidSetup
-    from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-    from dualbrain.runtime.gatekeeper.seals import open_keys
 
     where, secrets = socket or home() / "gatekeeper.sock", keys or home() / "keys.json"
     if run is not None:

@@ -13,14 +13,13 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from dualbrain.cli.console import answer, listing
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import cache, home
+from dualbrain.cli.common.console import answer, listing
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.paths import cache, home
 from dualbrain.errors import WrongUsage
-from dualbrain.knowledge.citation import parse_citation
-from dualbrain.knowledge.document import KINDS, Document, Kind, Trust
+from dualbrain.knowledge.document import KINDS, Document, Kind, Trust, parse_citation
 from dualbrain.knowledge.library import Addition, By, Library, Submission
-from dualbrain.knowledge.refusal import Refused
+from dualbrain.knowledge.rejection import Refused
 
 Json = Annotated[bool, Parameter(negative="", help="print one JSON object on stdout")]
 Store = Annotated[Path | None, Parameter(help="the store; default: knowledge.sqlite in dualbrain's home")]
@@ -183,7 +182,7 @@ def rebuild(*, store: Store = None, json: Json = False) -> int:
 
 def _library(store: Path | None, *, write: bool = False, words_only: bool = False) -> Library:
     """The library, with dualbrain's own documents; a new one is made with them."""
-    from dualbrain.knowledge.shipped import open_library
+    from dualbrain.knowledge.builtin_documents import open_library
 
     path = _path(store)
     if words_only and path.exists():
@@ -199,14 +198,14 @@ def _path(store: Path | None) -> Path:
 
 
 def _encoder() -> Any:
-    from dualbrain.memory.encoder import MiniLmEncoder
+    from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
 
     return MiniLmEncoder.fetched(cache())
 
 
 def _unfit(submission: Submission) -> Refused | None:
     """Why templates cannot be used: the gate would refuse a contract made from one."""
-    from dualbrain.runtime.consulting import unfit_templates
+    from dualbrain.grounding.document_retrieval import unfit_templates
 
     return unfit_templates(submission)
 

@@ -8,8 +8,8 @@ import traceback
 from cyclopts import App, CycloptsError
 
 from dualbrain import __version__
-from dualbrain.cli.console import abandon_stdout
-from dualbrain.cli.exits import Exit
+from dualbrain.cli.common.console import abandon_stdout
+from dualbrain.cli.common.exit_codes import Exit
 from dualbrain.errors import DualbrainError, WrongUsage
 
 app = App(
@@ -45,9 +45,9 @@ knowledge = App(
 )
 app.command(knowledge)
 
-app.command("dualbrain.cli.run:run", name="run", help="Words become safe motion.")
+app.command("dualbrain.cli.run.run:run", name="run", help="Words become safe motion.")
 app.command(
-    "dualbrain.cli.plan:plan",
+    "dualbrain.cli.run.plan:plan",
     name="plan",
     help="""What the planner would do, shown whole; nothing moves, and memory is only read.
 
@@ -64,17 +64,17 @@ app.command(
 
     Exits 0 if the contract was accepted, 3 if it was rejected or the planner declined.""",
 )
-app.command("dualbrain.cli.demo:demo", name="demo", help="The main job in one command.")
-app.command("dualbrain.cli.schema:schema", name="schema", help="Print a robot's contract schema.")
-app.command("dualbrain.cli.check:check", name="check", help="What the gate says of a contract file.")
-app.command("dualbrain.cli.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
+app.command("dualbrain.cli.run.demo:demo", name="demo", help="The main job in one command.")
+app.command("dualbrain.cli.run.schema:schema", name="schema", help="Print a robot's contract schema.")
+app.command("dualbrain.cli.run.check:check", name="check", help="What the gate says of a contract file.")
+app.command("dualbrain.cli.run.replay:replay", name="replay", help="Compute a recorded run again, bit for bit.")
 app.command("dualbrain.cli.gatekeeper:gatekeeper", name="gatekeeper", help="The spinal cord as a process.")
 app.command("dualbrain.cli.gatekeeper:operate", name="operate", help="A person's hand on a gatekeeper.")
-app.command("dualbrain.cli.fault:fault", name="fault", help="Break one thing at the worst moment, and look.")
-app.command("dualbrain.cli.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
+app.command("dualbrain.cli.run.fault:fault", name="fault", help="Break one thing at the worst moment, and look.")
+app.command("dualbrain.cli.adapters.adapt:adapt", name="adapt", help="Learn from what went well: fit an adapter.")
 app.command("dualbrain.cli.doctor:doctor", name="doctor", help="Examine this installation.")
 app.command(
-    "dualbrain.cli.evaluate:evaluate", name="evaluate",
+    "dualbrain.cli.evaluation.evaluate:evaluate", name="evaluate",
     help="""Compare methods by the paper's protocol, resumably.
 
     Every method flies the same scenes, seeds and words; the results are one Parquet file. Passes, each resumable: ε
@@ -85,7 +85,7 @@ app.command(
     DIR`. `--dry-run` tells how long a suite takes. Methods, metrics and rules: docs/evaluation.md.""",
 )  # fmt: skip
 app.command(
-    "dualbrain.cli.report:report", name="report",
+    "dualbrain.cli.evaluation.report:report", name="report",
     help="""What an evaluation found, as one HTML file.
 
     Writes report.html (works offline, no script) into the folder, and a Markdown page with its pictures into page/ or
@@ -94,7 +94,7 @@ app.command(
     --gallery 0` flies nothing again for pictures.""",
 )  # fmt: skip
 app.command(
-    "dualbrain.cli.report:compare", name="compare",
+    "dualbrain.cli.evaluation.report:compare", name="compare",
     help="""What changed between two evaluations.
 
     In what they were set up otherwise; then place by place, the same methods, scenes, seeds and repetitions in both:
@@ -102,27 +102,27 @@ app.command(
     what differs (Holm), and the word that these bear.""",
 )  # fmt: skip
 for _name, _function, _help in (
-    ("list", "memory:list_memories", "List memories with outcome, Δ, weight and status."),
-    ("show", "memory:show", "Show one memory whole, with everything that moved its weight."),
-    ("search", "memory:search", "Search as the planner would, with all parts of the score."),
-    ("export", "memory:export", "Write all memories as lines of JSON."),
-    ("verify", "memory:verify", "Check chain, weights, snapshot and vectors."),
-    ("audit", "memory_change:audit", "Label conflicts, near-duplicates, blast radius of each source."),
-    ("quarantine", "memory_change:quarantine", "Set memories aside, with their influence."),
-    ("release", "memory_change:release", "Bring them back."),
-    ("forget", "memory_change:forget", "Put a tombstone on memories."),
-    ("rollback", "memory_change:rollback", "Make memory what it was at an event."),
-    ("replay", "memory_change:replay", "Run a remembered contract again in simulation."),
-    ("compact", "memory_change:compact", "A short ledger with the same weights; the long one is archived."),
-    ("rebuild", "memory_change:rebuild", "Make all vectors anew."),
+    ("list", "memory.browse:list_memories", "List memories with outcome, Δ, weight and status."),
+    ("show", "memory.browse:show", "Show one memory whole, with everything that moved its weight."),
+    ("search", "memory.browse:search", "Search as the planner would, with all parts of the score."),
+    ("export", "memory.browse:export", "Write all memories as lines of JSON."),
+    ("verify", "memory.browse:verify", "Check chain, weights, snapshot and vectors."),
+    ("audit", "memory.edit:audit", "Label conflicts, near-duplicates, blast radius of each source."),
+    ("quarantine", "memory.edit:quarantine", "Set memories aside, with their influence."),
+    ("release", "memory.edit:release", "Bring them back."),
+    ("forget", "memory.edit:forget", "Put a tombstone on memories."),
+    ("rollback", "memory.edit:rollback", "Make memory what it was at an event."),
+    ("replay", "memory.edit:replay", "Run a remembered contract again in simulation."),
+    ("compact", "memory.edit:compact", "A short ledger with the same weights; the long one is archived."),
+    ("rebuild", "memory.edit:rebuild", "Make all vectors anew."),
 ):
     memory.command(f"dualbrain.cli.{_function}", name=_name, help=_help)
-robot.command("dualbrain.cli.robot_init:init", name="init", help="Make a robot from its URDF or MJCF.")
-robot.command("dualbrain.cli.robot_inspect:inspect", name="inspect", help="See what the filter sees of a robot.")
+robot.command("dualbrain.cli.robot.init:init", name="init", help="Make a robot from its URDF or MJCF.")
+robot.command("dualbrain.cli.robot.inspect:inspect", name="inspect", help="See what the filter sees of a robot.")
 models.command("dualbrain.cli.models:list_models", name="list", help="List the known weights.")
 models.command("dualbrain.cli.models:fetch", name="fetch", help="Fetch weights by name.")
 robot.command(
-    "dualbrain.cli.robot_identify:identify", name="identify",
+    "dualbrain.cli.robot.identify:identify", name="identify",
     help="""Measure how well a robot's drive follows its commands.
 
     The safety filter trusts that y = q + lag v moves at the velocity u it lets through. This command drives the
@@ -133,8 +133,8 @@ robot.command(
     `dualbrain robot identify --write my_panda.json` puts the figures into a body's data file, which is made if need be.
     For a real arm give the filter your own measurement: `FilterConfig(tracking_error=...)`.""",
 )  # fmt: skip
-robot.command("dualbrain.cli.robot_conform:conform", name="conform", help="Try the driver contract on a driver.")
-robot.command("dualbrain.cli.robot_commission:commission", name="commission", help="Answer for a real arm.")
+robot.command("dualbrain.cli.robot.conform:conform", name="conform", help="Try the driver contract on a driver.")
+robot.command("dualbrain.cli.robot.commission:commission", name="commission", help="Answer for a real arm.")
 
 for _name, _function, _help in (
     ("list", "list_adapters", "List adapters, and which one serves."),
@@ -144,13 +144,13 @@ for _name, _function, _help in (
     ("rollback", "rollback", "Let the former one serve again."),
     ("history", "history", "List promotions and rollbacks."),
 ):
-    adapters.command(f"dualbrain.cli.adapters:{_function}", name=_name, help=_help)
+    adapters.command(f"dualbrain.cli.adapters.registry:{_function}", name=_name, help=_help)
 adapters.command(
-    "dualbrain.cli.adapters_measure:measure", name="measure", help="Ask a candidate and the champion, for the gate."
+    "dualbrain.cli.adapters.measure:measure", name="measure", help="Ask a candidate and the champion, for the gate."
 )
-adapters.command("dualbrain.cli.adapters_export:export", name="export", help="Write one for peft, vLLM or llama.cpp.")
-adapters.command("dualbrain.cli.adapters_export:diff", name="diff", help="Tell two adapters apart.")
-adapters.command("dualbrain.cli.adapters_make:make", name="make", help="Make a shipped adapter again.")
+adapters.command("dualbrain.cli.adapters.export:export", name="export", help="Write one for peft, vLLM or llama.cpp.")
+adapters.command("dualbrain.cli.adapters.export:diff", name="diff", help="Tell two adapters apart.")
+adapters.command("dualbrain.cli.adapters.make:make", name="make", help="Make a shipped adapter again.")
 
 for verb, function, words in (
     ("add", "add", "Put documents on the shelf: Markdown, text, HTML, PDF, or a map or templates in TOML or JSON. "

@@ -7,10 +7,10 @@ import sys
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-from dualbrain import weights
-from dualbrain.cli.console import listing
-from dualbrain.cli.exits import Exit
-from dualbrain.cli.folders import cache
+from dualbrain.cli.common.console import listing
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.paths import cache
+from dualbrain.core import weights
 
 
 def list_models() -> int:
@@ -44,8 +44,8 @@ def fetch(*names: str) -> int:
 
 def _beneath(name: str) -> str:
     """The model that a packaged adapter sits on; any other name as it is."""
-    from dualbrain.adaptation.adapter_card import read_adapter_card
-    from dualbrain.adaptation.serving.packaged import packaged_folder, packaged_names
+    from dualbrain.adaptation.adapters.card import read_adapter_card
+    from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
 
     while name in packaged_names():
         name = read_adapter_card(packaged_folder(name)).base

@@ -1,1 +1,1 @@
-"""What may be said: skills with units and bounds, the schema they generate, and the gate that checks every contract."""
+"""Action contracts: skills with units and bounds, the JSON Schema they generate, and the contract (paper 3.3)."""

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from dualbrain.contracts import schema
-from dualbrain.contracts.canonical import canonical_json
-from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.canonical_json import canonical_json
 from dualbrain.contracts.skill_spec import Choice, Name, Number, Parameter, SkillSpec, Text
+from dualbrain.core.units import require_si
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.units import require_si
 
 CONTRACT_VERSION = 1
 """Rises when the form or the meaning of a contract changes; part of every registry hash."""
@@ -66,14 +64,6 @@ class Registry:
     def hash(self) -> str:
         """First 8 hex digits of the SHA-256 of `canonical()`: a name for honest mistakes, not a signature."""
         return hashlib.sha256(self.canonical()).hexdigest()[:8]
-
-    def validation_schema(self, names: SceneNames) -> dict[str, Any]:
-        """The published Draft-07 schema: what all three stages together accept from an unrestricted principal."""
-        return schema.validation_schema(self, names)
-
-    def decoding_schema(self, names: SceneNames) -> dict[str, Any]:
-        """The same set of contracts for constrained decoders: `anyOf` per skill, fixed order, no `allOf`."""
-        return schema.decoding_schema(self, names)
 
 
 def _meaning(parameter: Parameter) -> dict[str, Any]:
@@ -137,3 +127,33 @@ def _require_bounds(where: str, number: Number) -> None:
         raise InvalidSetup(
             f"provenance of {where}", got="none", allowed="where each bound comes from", fix="Name the source."
         )
+
+
+def narrows(inner: Registry, outer: Registry) -> bool:
+    """Whether `inner` differs from `outer` at most by tighter bounds: same robot, skills, parameters, units, choices.
+
+    Promise: every value that `inner` admits `outer` admits too, and means the same there.
+    """
+    alike = inner.robot == outer.robot and inner.by_name.keys() == outer.by_name.keys()
+    return alike and all(_skill(skill, outer.by_name[name]) for name, skill in inner.by_name.items())
+
+
+def _skill(inner: SkillSpec, outer: SkillSpec) -> bool:
+    ours = {parameter.name: parameter for parameter in inner.parameters}
+    theirs = {parameter.name: parameter for parameter in outer.parameters}
+    return ours.keys() == theirs.keys() and all(_parameter(one, theirs[name]) for name, one in ours.items())
+
+
+def _parameter(inner: Parameter, outer: Parameter) -> bool:
+    match inner, outer:
+        case Number(), Number():
+            inside = outer.lower <= inner.lower and inner.upper <= outer.upper
+            return inner.unit == outer.unit and inside
+        case Choice(), Choice():
+            return set(inner.choices) == set(outer.choices)
+        case Name(), Name():
+            return inner.of == outer.of
+        case Text(), Text():
+            return inner.max_length <= outer.max_length
+        case _:
+            return False

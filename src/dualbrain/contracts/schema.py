@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from dualbrain.contracts.safe_text import HIDDEN
+from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import Choice, Name, Number, Parameter, SkillSpec, Text
-
-if TYPE_CHECKING:
-    from dualbrain.contracts.registry import Registry
+from dualbrain.core.text import HIDDEN
 
 MAX_ACTIONS = 8
 ID_PATTERN = "^c-[0-9]{4}$"

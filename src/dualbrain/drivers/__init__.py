@@ -1,1 +1,1 @@
-"""Drivers: real arms behind the `Robot` protocol, fakes of their interfaces, and the laws that every driver keeps."""
+"""Drivers of real arms behind the robot interface, fakes of their vendor libraries, and a conformance test."""

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from dualbrain.drivers.driver import Driver
-from dualbrain.drivers.fake_franka import FakeFranka
-from dualbrain.drivers.fake_ur import FakeUr
+from dualbrain.drivers.fakes.franka import FakeFranka
+from dualbrain.drivers.fakes.ur import FakeUr
 from dualbrain.drivers.franka import FrankaDriver, franka_sdk
 from dualbrain.drivers.ur import UrDriver, UrSdk
-from dualbrain.drivers.vendor import FR3, UR5E, Limits
-from dualbrain.embodiment.body import Body
+from dualbrain.drivers.vendor_limits import FR3, UR5E, Limits
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.safety.timing import FRANKA, UR, Timing
+from dualbrain.robots.model import Body
+from dualbrain.safety.supervisor.timing import FRANKA, UR, Timing
 
 Pace = Callable[[float], None]
 

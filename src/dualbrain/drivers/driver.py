@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dualbrain.embodiment.robot import Command, Robot
-from dualbrain.safety.timing import Timing
+from dualbrain.robots.interface import Command, Robot
+from dualbrain.safety.supervisor.timing import Timing
 
 
 class Driver(Robot, Protocol):

@@ -18,10 +18,10 @@ import numpy as np
 
 from dualbrain.drivers.driver import sound
 from dualbrain.drivers.franka_hand import FrankaHand
-from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.robot import Command, RobotState
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.safety.timing import FRANKA, Timing
+from dualbrain.robots.interface import Command, RobotState
+from dualbrain.robots.model import Body
+from dualbrain.safety.supervisor.timing import FRANKA, Timing
 
 EXCEPTIONS = (
     "FrankaException", "ControlException", "CommandException", "NetworkException", "InvalidOperationException",

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from dualbrain.drivers.driver import sound
-from dualbrain.embodiment.body import Body
-from dualbrain.embodiment.robot import Command, RobotState
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.safety.timing import UR, Timing
+from dualbrain.robots.interface import Command, RobotState
+from dualbrain.robots.model import Body
+from dualbrain.safety.supervisor.timing import UR, Timing
 
 FREQUENCY = 500.0
 WATCHDOG = 0.1

@@ -1,1 +1,1 @@
-"""Does the loop do what the paper says? Methods, runner, metrics, statistics and verdicts of its section 7."""
+"""Evaluation protocol (paper 7): methods, runner, metrics, statistics, hypotheses, report."""

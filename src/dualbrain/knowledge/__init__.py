@@ -1,1 +1,1 @@
-"""What is written: rules, manuals, maps and task templates, quoted exactly, found by words and by meaning (paper 5)."""
+"""Document index (paper 5): rules, manuals, maps and task templates, retrieved with exact citations."""

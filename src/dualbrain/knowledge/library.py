@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -12,16 +12,14 @@ from typing import Literal, Self
 
 import numpy as np
 
+from dualbrain.core.encoder import Encoder, Rows
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.knowledge import fusion
-from dualbrain.knowledge.chunks import Chunk, chunks
-from dualbrain.knowledge.citation import DOCUMENT, Citation
-from dualbrain.knowledge.document import KINDS, TRUST, Document, Hit, Kind, Trust
-from dualbrain.knowledge.encoder import Encoder, Rows
-from dualbrain.knowledge.kinds import check_structure, default_kind
-from dualbrain.knowledge.reading import Reading, read
-from dualbrain.knowledge.refusal import Refused
-from dualbrain.knowledge.shelf import Shelf, Shelved
+from dualbrain.knowledge.chunking import Chunk, chunks
+from dualbrain.knowledge.document import DOCUMENT, KINDS, TRUST, Citation, Document, Hit, Kind, Trust
+from dualbrain.knowledge.readers.reader import Reading, read
+from dualbrain.knowledge.rejection import Refused
+from dualbrain.knowledge.store import Shelf, Shelved
+from dualbrain.knowledge.structured.kinds import check_structure, default_kind
 
 By = Literal["both", "words", "meaning"]
 Change = Literal["new", "new version", "restored", "relabelled", "unchanged"]
@@ -149,7 +147,7 @@ class Library:
         meaning = self._by_meaning(query, allowed) if by != "words" else {}
         match by:
             case "both":
-                scores = fusion.normalised(words, meaning)
+                scores = normalised(words, meaning)
             case "words":
                 scores = words
             case "meaning":
@@ -323,3 +321,17 @@ def _mixed(made: str, encoder: Encoder) -> InvalidSetup:
         "vectors of the knowledge store", got=made, allowed=f"made by {maker(encoder)}",
         fix="Make them again with `dualbrain knowledge rebuild`.",
     )  # fmt: skip
+
+
+SHARE = 0.7
+"""Share of meaning in the fused score; docs/knowledge.md has the measurement."""
+
+
+def normalised(words: Mapping[int, float], meaning: Mapping[int, float], share: float = SHARE) -> dict[int, float]:
+    """score(d) = (1 − share) bm25(d)/max bm25 + share max(0, cos(d)): absolute in meaning, relative in words."""
+    best = max(words.values(), default=0.0)
+    return {
+        item: (1.0 - share) * (words.get(item, 0.0) / best if best > 0.0 else 0.0)
+        + share * max(0.0, meaning.get(item, 0.0))
+        for item in {*words, *meaning}
+    }

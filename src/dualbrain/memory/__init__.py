@@ -1,1 +1,1 @@
-"""What happened: the event ledger, the joint embedding, retrieval R and plasticity w."""
+"""Episodic memory (paper 5): event ledger, joint embedding, retrieval R and learned weights w."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dualbrain.memory.embedding import EmbeddingConfig
-from dualbrain.memory.plasticity import BANDWIDTH, Plasticity
-from dualbrain.memory.posture import PostureLimits
-from dualbrain.memory.retrieval import check_lambda
-from dualbrain.memory.trust import Trust
+from dualbrain.memory.embedding.joint_embedding import EmbeddingConfig
+from dualbrain.memory.embedding.posture_features import PostureLimits
+from dualbrain.memory.learning.trust import Trust
+from dualbrain.memory.plasticity.rule import BANDWIDTH, Plasticity
+from dualbrain.memory.retrieval.search import check_lambda
 
 
 @dataclass(frozen=True, slots=True)

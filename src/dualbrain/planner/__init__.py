@@ -1,1 +1,1 @@
-"""Who proposes: the prompt and the language models behind one protocol."""
+"""Planners: prompt, constrained decoding and language-model backends behind one protocol."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import urldefrag
 
+from dualbrain.core.weights import MANIFEST, locate
 from dualbrain.errors import UnknownName
-from dualbrain.planner.llama import LlamaConfig, LlamaPlanner
-from dualbrain.planner.openai import ServerConfig, ServerPlanner
+from dualbrain.planner.backends.llama_cpp import LlamaConfig, LlamaPlanner
+from dualbrain.planner.backends.openai_server import ServerConfig, ServerPlanner
 from dualbrain.planner.protocol import Planner
-from dualbrain.weights import MANIFEST, locate
 
 DEFAULT_PLANNER = "qwen2.5-coder-1.5b-instruct"
 SMALL_PLANNER = "smollm2-135m-instruct"

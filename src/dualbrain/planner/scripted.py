@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dualbrain.planner import protocol
+from dualbrain.planner.protocol import STOP
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 
@@ -29,3 +30,20 @@ class ScriptedPlanner:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+
+class GivenContract:
+    """Proposes the bytes it was given, whatever is asked."""
+
+    def __init__(self, source: str, data: bytes) -> None:
+        """`source` is what the record names as the author."""
+        self.name = source
+        self._text = data.decode("utf-8", "surrogateescape")
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """The given text."""
+        del request
+        return Proposal(self._text, STOP, self.name, "nobody", {"total": 0.0})
+
+    def close(self) -> None:
+        """Nothing to release."""

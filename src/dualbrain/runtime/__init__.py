@@ -1,1 +1,1 @@
-"""The loop: words to motion to memory, recorded and replayable."""
+"""The episode loop: instruction, retrieval, proposal, gate, execution, outcome, memory. Start at `episode`."""

@@ -10,17 +10,17 @@ from typing import Any
 
 import msgspec
 
-from dualbrain.adaptation.durable import write_durably
 from dualbrain.contracts.registry import Registry
-from dualbrain.contracts.schema import short_form
+from dualbrain.contracts.schema import decoding_schema, short_form
+from dualbrain.core.storage.atomic_files import write_durably
 from dualbrain.errors import UNREADABLE
-from dualbrain.memory.utility import Change, judge
-from dualbrain.planner.prompt import render
+from dualbrain.grounding.vocabulary import scene_names
+from dualbrain.memory.plasticity.retrieval_utility import Change, judge
+from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.planner.protocol import LENGTH, STOP, Planner
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Episode, Exemplar, Use
-from dualbrain.runtime.question import as_written
-from dualbrain.runtime.vocabulary import scene_names
+from dualbrain.runtime.planner_request import as_written
 
 
 class Counterfactuals:
@@ -60,7 +60,7 @@ class Counterfactuals:
         names = scene_names(episode.scene)
         return PlanRequest(
             episode.instruction, episode.summary, recall, episode.robot, episode.registry,
-            short_form(self._registry, names), self._registry.decoding_schema(names), contract_id="c-0001",
+            short_form(self._registry, names), decoding_schema(self._registry, names), contract_id="c-0001",
             setback=episode.setback,
         )  # fmt: skip
 

@@ -11,29 +11,28 @@ from typing import Protocol, get_args
 
 import msgspec
 
-from dualbrain.contracts.contract import Contract
-from dualbrain.contracts.gate import Gate
+from dualbrain.contracts.contract import Contract, Stamp
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
 from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
-from dualbrain.contracts.stamp import Stamp
 from dualbrain.contracts.verdict import Accepted, Rejected, Stage, Verdict
-from dualbrain.memory.picture import Picture
-from dualbrain.memory.posture import Posture
-from dualbrain.memory.store import StoreReport
-from dualbrain.planner.prompt import MAX_RECALLED
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.gatekeeper.remote_executor import RemoteGate, RemoteLayer
+from dualbrain.core.text import storable
+from dualbrain.grounding.outcome_check import second_opinion
+from dualbrain.grounding.scene_rules import scene_rules
+from dualbrain.grounding.vocabulary import grants, scene_names
+from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.memory import StoreReport
+from dualbrain.planner.prompt.full_prompt import MAX_RECALLED
 from dualbrain.planner.protocol import STOP, Planner, answered
 from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Setback
-from dualbrain.runtime.decision import timings
-from dualbrain.runtime.gatekeeper.remote_layer import RemoteGate, RemoteLayer
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.question import LookUp, Reminder, Standpoint, question, reminded
+from dualbrain.runtime.planner_request import LookUp, Reminder, Standpoint, question, reminded
+from dualbrain.runtime.planning_time import Thinking, timings
 from dualbrain.runtime.replanning import goes_on
-from dualbrain.runtime.rules import scene_rules
-from dualbrain.runtime.second_opinion import second_opinion
-from dualbrain.runtime.storable import storable
-from dualbrain.runtime.thinking import Thinking
-from dualbrain.runtime.vocabulary import PLANNER, grants, scene_names
-from dualbrain.skills.vocabulary import registry_of
+from dualbrain.skills.registry import registry_of
 
 STAGES = get_args(Stage)
 """The gate's stages, in their order."""

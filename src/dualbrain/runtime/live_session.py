@@ -10,23 +10,24 @@ from pathlib import Path
 
 import msgspec
 
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.gatekeeper import OPERATOR
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.protocol.messages import Act, Glimpse, Message, News
+from dualbrain.control.gatekeeper.remote_executor import RemoteLayer
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import Report
+from dualbrain.control.recording.channels import read_trace
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import Event, Trace
 from dualbrain.records import Judgement, Setback
 from dualbrain.runtime.episode import Witness, run_episode
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
-from dualbrain.runtime.gatekeeper.keeper import OPERATOR
-from dualbrain.runtime.gatekeeper.messages import Act, Glimpse, Message, News
-from dualbrain.runtime.gatekeeper.remote_layer import RemoteLayer
-from dualbrain.runtime.gatekeeper.robot_process import Report
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.recording import read_trace
+from dualbrain.runtime.planning_time import Thinking
 from dualbrain.runtime.replanning import Tried
 from dualbrain.runtime.session import Finished, Onlooker, Session
-from dualbrain.runtime.thinking import Thinking
-from dualbrain.runtime.trace import Event, Trace
-from dualbrain.runtime.vocabulary import PLANNER
-from dualbrain.world.scene_spec import save_scene
+from dualbrain.simulation.scenes.scene_spec import save_scene
 
 REPORT, PUNCTUALITY = "robot.json", "punctuality.json"
 """What robot and gatekeeper leave in the run folder beside the recording."""

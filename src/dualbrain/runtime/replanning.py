@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from dualbrain.memory.store import StoreReport
+from dualbrain.memory.memory import StoreReport
 from dualbrain.records import Episode, Outcome, Setback
 
 SETBACKS = ("failed", "taken_over")

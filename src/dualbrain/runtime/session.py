@@ -13,52 +13,53 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from dualbrain import __version__, weights
-from dualbrain.adaptation.serving.opening import open_planner, origin
-from dualbrain.contracts.narrowing import narrows
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.site_file import read_site
+from dualbrain import __version__
+from dualbrain.adaptation.serving.open_planner import open_planner, origin
+from dualbrain.contracts.registry import narrows
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core import weights
+from dualbrain.core.text import storable
 from dualbrain.errors import InvalidSetup
+from dualbrain.grounding.document_retrieval import consult
+from dualbrain.grounding.map_overlay import charted
+from dualbrain.knowledge.builtin_documents import open_library
 from dualbrain.knowledge.library import Library
-from dualbrain.knowledge.shipped import open_library
 from dualbrain.memory.config import MemoryConfig
-from dualbrain.memory.curation import note_uses
-from dualbrain.memory.encoder import MiniLmEncoder
-from dualbrain.memory.image import IMAGE_WEIGHTS, ImageEncoder
-from dualbrain.memory.ledger import Ledger
-from dualbrain.memory.picture import Picture
-from dualbrain.memory.plasticity import Plasticity
-from dualbrain.memory.posture import PostureLimits
-from dualbrain.memory.runs import InterruptedRun
-from dualbrain.memory.store import Memory, StoreReport
-from dualbrain.planner.prompt import MAX_RECALLED, beside_hash, template_hash
+from dualbrain.memory.embedding.image_encoder import IMAGE_WEIGHTS, ImageEncoder
+from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.posture_features import PostureLimits
+from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.ledger.runs import InterruptedRun
+from dualbrain.memory.maintenance.edits import note_uses
+from dualbrain.memory.memory import Memory, StoreReport
+from dualbrain.memory.plasticity.rule import Plasticity
+from dualbrain.planner.prompt.full_prompt import MAX_RECALLED, beside_hash, template_hash
 from dualbrain.planner.protocol import Planner
+from dualbrain.planner.scripted import GivenContract
 from dualbrain.records import Episode, Passage, Setback
-from dualbrain.runtime.charted import charted
-from dualbrain.runtime.consulting import consult
-from dualbrain.runtime.control_tick import LayerConfig
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.site_config import read_site
+from dualbrain.runtime.config import Finished, Onlooker, RunConfig, Times
 from dualbrain.runtime.counterfactual import Counterfactuals
 from dualbrain.runtime.episode import Errand, Witness, run_episode
-from dualbrain.runtime.given import GivenContract
-from dualbrain.runtime.local_layer import LocalLayer
-from dualbrain.runtime.log import FlightLog
-from dualbrain.runtime.recorder import Recorder
+from dualbrain.runtime.planning_time import PLANNING_TIME, Thinking
 from dualbrain.runtime.replanning import Tried, tried
-from dualbrain.runtime.run_config import Finished, Onlooker, RunConfig, Times
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.runtime.storable import storable
-from dualbrain.runtime.thinking import PLANNING_TIME, Thinking
-from dualbrain.runtime.trace import Trace
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.native import kernel_hash
-from dualbrain.safety.site import site_body, site_grants, site_obstacles
-from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.agenda import errand_of
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.open_plant import open_plant
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.pictures import Camera
-from dualbrain.world.scene_spec import save_scene
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.kernel import kernel_hash
+from dualbrain.safety.integration.site import site_body, site_grants, site_obstacles
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.perception.rendering import Camera
+from dualbrain.simulation.plant.factory import open_plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import save_scene
+from dualbrain.simulation.tasks.multi_goal import errand_of
+from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.skills.registry import registry_of
 
 FILES = ("config.json", "scene.json", "episode.mcap", "episode.json", "report.html")
 """What a run leaves in its folder."""

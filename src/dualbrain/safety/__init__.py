@@ -1,1 +1,1 @@
-"""The spinal room: barriers, the safety filter, the intervention metric; `native` alone knows the C kernel."""
+"""The safety layer: barriers, the CBF-QP filter, the supervisor above it, and integrations for other software."""

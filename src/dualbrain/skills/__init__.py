@@ -1,1 +1,1 @@
-"""What the body can do: one file a skill, its specification and its nominal controller φ."""
+"""Skills of a robot, one file each: its specification and its nominal controller φ (paper 4.2)."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dualbrain.contracts.skill_spec import SkillSpec, Text
-from dualbrain.embodiment.body import Body
-from dualbrain.skills.limb import Limb
+from dualbrain.robots.model import Body
+from dualbrain.skills.arm.controller import Limb
 from dualbrain.skills.skill import Ending, Status, Story
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dualbrain.contracts.skill_spec import Choice, Number
-from dualbrain.embodiment.body import Body
+from dualbrain.robots.model import Body
 
 CONTACT_SPEED = 0.05
 """How fast the fingers or a held thing may approach what they are allowed to touch [m/s]."""

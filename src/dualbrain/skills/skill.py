@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.robot import RobotState
 from dualbrain.records import Scene, SceneObject
+from dualbrain.robots.interface import RobotState
 
 Array = NDArray[np.float64]
 

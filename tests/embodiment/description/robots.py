@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dualbrain.embodiment.description.policy import Given, Policy
+from dualbrain.robots.importer.required_limits import Given, Policy
 
 SAID = "test"
 

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.description.build import (
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.importer.build_arm import (
     MOST_JOINTS,
     MOST_LINKS,
     MOST_PAIRS,
@@ -14,13 +15,11 @@ from dualbrain.embodiment.description.build import (
     build_arm,
     identifier,
 )
-from dualbrain.embodiment.description.chain import find_chain, standing
-from dualbrain.embodiment.description.urdf import read_urdf
-from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.safety import _kernel_wide
-from dualbrain.safety.filter import SafetyFilter
-
-from .robots import arm_with_everything, joint, link, policy, urdf, written
+from dualbrain.robots.importer.kinematic_chain import find_chain, standing
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.safety.cbf.compiled import _kernel_wide
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.embodiment.description.robots import arm_with_everything, joint, link, policy, urdf, written
 
 
 @pytest.fixture(scope="module")

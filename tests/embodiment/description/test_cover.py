@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.description.convex_parts import convex_parts, volume
-from dualbrain.embodiment.description.cover import QUICK, fit_all
-from dualbrain.embodiment.description.shapes import box, capsule, cylinder, ellipsoid, hull_mesh, joined
-from dualbrain.embodiment.meshes import Mesh
-from dualbrain.embodiment.polytope import convex_hull, surface_points
-
-from .robots import pose
+from dualbrain.robots.assets.mesh_primitives import box, capsule, cylinder, ellipsoid, hull_mesh, joined
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.collision_model.convex_decomposition import convex_parts, volume
+from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
+from dualbrain.robots.collision_model.sphere_budget import QUICK, fit_all
+from tests.embodiment.description.robots import pose
 
 ELL = joined([box(np.array([0.2, 0.04, 0.04]), np.eye(4)), box(np.array([0.04, 0.04, 0.2]), pose((0.16, 0, 0.16)))])
 

@@ -6,15 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.description.build import Wish, build_arm
-from dualbrain.embodiment.description.changes import changes, keep_edits, summary
-from dualbrain.embodiment.description.folder import Recipe, edits, read_report, write_folder
-from dualbrain.embodiment.description.urdf import read_urdf
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.safety.filter import SafetyFilter
-
-from .robots import arm_with_everything, policy, written
+from dualbrain.robots.importer.build_arm import Wish, build_arm
+from dualbrain.robots.importer.output.diff import changes, keep_edits, summary
+from dualbrain.robots.importer.output.robot_folder import Recipe, edits, read_report, write_folder
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.embodiment.description.robots import arm_with_everything, policy, written
 
 RECIPE = Recipe("robot.urdf", "0" * 64)
 

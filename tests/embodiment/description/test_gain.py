@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import Bound, Joint, Link, encode, load_body
-from dualbrain.embodiment.body_check import read_body
-from dualbrain.embodiment.description.gain import STEEP, bend, curved_gain, reaches
-from dualbrain.embodiment.sphere_cover import Balls
 from dualbrain.errors import InvalidSetup
+from dualbrain.robots.collision_model.coverage import Balls
+from dualbrain.robots.importer.cbf_gain import STEEP, bend, curved_gain, reaches
+from dualbrain.robots.loader import encode, load_body, read_body
+from dualbrain.robots.model import Bound, Joint, Link
 
 LENGTH = 0.3
 

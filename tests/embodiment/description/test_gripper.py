@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 from proofs.zoo_robots import robots_folder
 
-from dualbrain.embodiment import panda
-from dualbrain.embodiment.description.build import Wish, build_arm
-from dualbrain.embodiment.description.chain import find_chain
-from dualbrain.embodiment.description.gripper import PAD, Hand, find_hand
-from dualbrain.embodiment.description.page import gaps
-from dualbrain.embodiment.description.policy import Given, Policy
-from dualbrain.embodiment.description.urdf import read_urdf
-from dualbrain.skills.vocabulary import registry_of
-
-from .robots import joint, link, policy, urdf, written
+from dualbrain.robots.builtin import panda
+from dualbrain.robots.importer.build_arm import Wish, build_arm
+from dualbrain.robots.importer.gripper import PAD, Hand, find_hand
+from dualbrain.robots.importer.kinematic_chain import find_chain
+from dualbrain.robots.importer.output.markdown import gaps
+from dualbrain.robots.importer.required_limits import Given, Policy
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.skills.registry import registry_of
+from tests.embodiment.description.robots import joint, link, policy, urdf, written
 
 GRIP = {"grip_force_min": Given(5.0, "test"), "grip_force": Given(60.0, "test")}
 MIRRORED = '<mimic joint="slide0" multiplier="-1"/>'

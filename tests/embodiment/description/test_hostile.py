@@ -4,13 +4,12 @@ import time
 
 import pytest
 
-from dualbrain.cli.robot_source import read_description
-from dualbrain.embodiment.description import safe_xml
-from dualbrain.embodiment.description.files import folders_of
-from dualbrain.embodiment.description.urdf import read_urdf
+from dualbrain.cli.robot.read_description import read_description
 from dualbrain.errors import InvalidSetup, MissingPart
-
-from .robots import joint, link, urdf, written
+from dualbrain.robots.assets import safe_xml
+from dualbrain.robots.assets.mesh_paths import folders_of
+from dualbrain.robots.importer.urdf import read_urdf
+from tests.embodiment.description.robots import joint, link, urdf, written
 
 MESH = '<link name="a"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
 LAUGHS = (

@@ -2,12 +2,11 @@
 
 import pytest
 
-from dualbrain.embodiment.description.build import Wish, build_arm
-from dualbrain.embodiment.description.policy import Given, MissingLimits, Policy
-from dualbrain.embodiment.description.urdf import read_urdf
 from dualbrain.errors import InvalidSetup, UnknownName
-
-from .robots import arm_with_everything, joint, link, policy, urdf, written
+from dualbrain.robots.importer.build_arm import Wish, build_arm
+from dualbrain.robots.importer.required_limits import Given, MissingLimits, Policy
+from dualbrain.robots.importer.urdf import read_urdf
+from tests.embodiment.description.robots import arm_with_everything, joint, link, policy, urdf, written
 
 QUICK = Wish(quick=True, spheres=30)
 

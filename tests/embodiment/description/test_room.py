@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from dualbrain.embodiment.body import SelfPairs
-from dualbrain.embodiment.description import build
-from dualbrain.embodiment.description.pairs import Sampled, sampled_pairs
-from dualbrain.embodiment.description.urdf import read_urdf
-from dualbrain.embodiment.sphere_cover import Balls
-
-from .robots import arm_with_everything, policy, written
-from .test_gain import LENGTH, planar
+from dualbrain.robots.collision_model.coverage import Balls
+from dualbrain.robots.collision_model.self_collision_sampling import Sampled, sampled_pairs
+from dualbrain.robots.importer import build_arm
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.robots.model import SelfPairs
+from tests.embodiment.description.robots import arm_with_everything, policy, written
+from tests.embodiment.description.test_gain import LENGTH, planar
 
 
 @pytest.mark.parametrize(("radius", "pressed"), [(0.22, {"part1", "part3"}), (0.1, set())])
@@ -29,15 +28,19 @@ def test_a_kept_pair_that_is_nowhere_far_apart_is_named(radius, pressed):
 
 def test_what_presses_is_covered_tighter_until_there_is_room(tmp_path, monkeypatch):
     weights, answers = [], [frozenset({"upper"}), frozenset({"upper", "lower"}), frozenset()]
-    fit = build.fit_all
+    fit = build_arm.fit_all
 
     def fitted(shapes, weight, *rest):
         weights.append(dict(weight))
         return fit(shapes, weight, *rest)
 
-    monkeypatch.setattr(build, "fit_all", fitted)
-    monkeypatch.setattr(build, "sampled_pairs", lambda *_, **__: Sampled(SelfPairs((), ()), answers[len(weights) - 1]))
-    build.build_arm(read_urdf(written(tmp_path, arm_with_everything())), policy(), build.Wish(quick=True, spheres=20))
+    monkeypatch.setattr(build_arm, "fit_all", fitted)
+    monkeypatch.setattr(
+        build_arm, "sampled_pairs", lambda *_, **__: Sampled(SelfPairs((), ()), answers[len(weights) - 1])
+    )
+    build_arm.build_arm(
+        read_urdf(written(tmp_path, arm_with_everything())), policy(), build_arm.Wish(quick=True, spheres=20)
+    )
     tighter = [{name: now[name] / weights[0][name] for name in now if now[name] != weights[0][name]} for now in weights]
-    once, twice = (pytest.approx(build.TIGHTER**k) for k in (1, 2))
+    once, twice = (pytest.approx(build_arm.TIGHTER**k) for k in (1, 2))
     assert tighter == [{}, {"upper": once}, {"upper": twice, "lower": once}]

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-from dualbrain.runtime.gatekeeper.frames import encode
-from dualbrain.runtime.gatekeeper.messages import Heartbeat, encode_body, kind_of
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.vocabulary import vocabulary
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
+from dualbrain.control.gatekeeper.protocol.frames import encode
+from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, encode_body, kind_of
+from dualbrain.grounding.vocabulary import vocabulary
 
 GRASP = {
     "object": "red_cube", "speed": 0.3, "clearance": 0.15, "finger_axis": "along", "opening": 0.08, "approach": "top",

@@ -10,13 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.control.gatekeeper.capability import Capability
+from dualbrain.control.gatekeeper.protocol import server as door_module
+from dualbrain.control.gatekeeper.protocol.authentication import SECRET, genuine, open_keys, prove, proven, seal
+from dualbrain.control.gatekeeper.protocol.frames import HEADER, LIMIT, MAGIC, VERSION, Broken, Decoder, Frame, encode
+from dualbrain.control.gatekeeper.protocol.messages import (
+    UPWARD,
+    Heartbeat,
+    Message,
+    Propose,
+    encode_body,
+    kind_of,
+    read,
+)
+from dualbrain.control.gatekeeper.protocol.server import FRAMES_A_SECOND, FRAMES_A_TICK, MOST_PEERS, Door
 from dualbrain.errors import InvalidSetup
-from dualbrain.runtime.gatekeeper import door as door_module
-from dualbrain.runtime.gatekeeper.capability import Capability
-from dualbrain.runtime.gatekeeper.door import FRAMES_A_SECOND, FRAMES_A_TICK, MOST_PEERS, Door
-from dualbrain.runtime.gatekeeper.frames import HEADER, LIMIT, MAGIC, VERSION, Broken, Decoder, Frame, encode
-from dualbrain.runtime.gatekeeper.messages import UPWARD, Heartbeat, Message, Propose, encode_body, kind_of, read
-from dualbrain.runtime.gatekeeper.seals import SECRET, genuine, open_keys, prove, proven, seal
 
 BODIES = st.lists(st.binary(max_size=200), max_size=6)
 

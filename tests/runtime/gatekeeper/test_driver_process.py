@@ -7,12 +7,12 @@ import time
 import numpy as np
 import pytest
 
+from dualbrain.control.gatekeeper.robot_link import packets as bus
+from dualbrain.control.gatekeeper.robot_link.driver_process import DriverProcess, surveyed
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import looks_every
+from dualbrain.control.scene_monitor import SceneWatch
 from dualbrain.records import Scene
-from dualbrain.runtime.gatekeeper import bus
-from dualbrain.runtime.gatekeeper.driver_process import DriverProcess, surveyed
-from dualbrain.runtime.gatekeeper.robot_process import looks_every
-from dualbrain.runtime.scene_watch import SceneWatch
-from dualbrain.world.catalogue import open_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from tests.drivers.subjects import ur
 
 PATIENCE = 20.0

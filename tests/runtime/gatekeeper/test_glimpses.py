@@ -4,21 +4,21 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.runtime.door_trial import LockstepRobot
-from dualbrain.runtime.faults import Fault, FaultyRobot, Injector
-from dualbrain.runtime.gatekeeper.capability import full
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink
-from dualbrain.runtime.gatekeeper.door import Door
-from dualbrain.runtime.gatekeeper.keeper import Gatekeeper
-from dualbrain.runtime.gatekeeper.messages import Glimpse
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.simulated import SimulatedWorld
-from dualbrain.safety.timing import SIMULATED
-from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.catalogue import open_scene
-from dualbrain.world.perception import Noise, Perception
-from dualbrain.world.plant import Plant
+from dualbrain.control.gatekeeper.capability import full
+from dualbrain.control.gatekeeper.gatekeeper import Gatekeeper
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink
+from dualbrain.control.gatekeeper.protocol.messages import Glimpse
+from dualbrain.control.gatekeeper.protocol.server import Door
+from dualbrain.evaluation.fault_injection.faults import Fault, FaultyRobot, Injector
+from dualbrain.evaluation.fault_injection.gatekeeper_trial import LockstepRobot
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.supervisor.timing import SIMULATED
+from dualbrain.simulation.perception.noisy_perception import Noise, Perception
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.world import SimulatedWorld
+from dualbrain.skills.registry import registry_of
 
 SECONDS = 2.0
 

@@ -12,17 +12,17 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.verdict import Rejected
-from dualbrain.runtime.gatekeeper import client as client_module
-from dualbrain.runtime.gatekeeper.capability import Capability
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
-from dualbrain.runtime.gatekeeper.frames import encode
-from dualbrain.runtime.gatekeeper.messages import Heartbeat, Propose, Refused, encode_body, kind_of
-from dualbrain.runtime.gatekeeper.robot_process import WATCHDOG, Report
-from dualbrain.runtime.gatekeeper.seals import open_keys, seal
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.world.catalogue import open_scene
-
-from .cortex import ERRAND, GRASP, contract
+from dualbrain.control.gatekeeper.capability import Capability
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.protocol import client as client_module
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys, seal
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.protocol.frames import encode
+from dualbrain.control.gatekeeper.protocol.messages import Heartbeat, Propose, Refused, encode_body, kind_of
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import WATCHDOG, Report
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from tests.runtime.gatekeeper.cortex import ERRAND, GRASP, contract
 
 pytestmark = pytest.mark.slow
 """Three processes in real time, with limits of 50 ms: they need a machine that does nothing else."""

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dualbrain.runtime.gatekeeper import laps as laps_module
-from dualbrain.runtime.gatekeeper.histogram import BINS, Histogram
-from dualbrain.runtime.gatekeeper.laps import PARTS, Laps
-from dualbrain.runtime.gatekeeper.metronome import WARM_UP, Metronome
-from dualbrain.safety.condition import Condition
-from dualbrain.safety.timing import SIMULATED, simulated
+from dualbrain.control.gatekeeper.timing import tick_profile as laps_module
+from dualbrain.control.gatekeeper.timing.histogram import BINS, Histogram
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS, Laps
+from dualbrain.control.gatekeeper.timing.tick_timing import WARM_UP, Metronome
+from dualbrain.safety.supervisor.conditions import Condition
+from dualbrain.safety.supervisor.timing import SIMULATED, simulated
 
 WIDTH = 1e-3
 

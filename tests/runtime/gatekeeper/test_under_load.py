@@ -15,17 +15,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dualbrain.embodiment.body import load_body
-from dualbrain.embodiment.site_file import read_site
-from dualbrain.memory.ledger import LedgerReader
-from dualbrain.runtime.gatekeeper.client import GatekeeperLink, LinkLost
-from dualbrain.runtime.gatekeeper.robot_process import Report
-from dualbrain.runtime.gatekeeper.seals import open_keys
-from dualbrain.runtime.gatekeeper.spawn import Plan, Process
-from dualbrain.safety.order import Rung
-from dualbrain.safety.site import site_body
-from dualbrain.skills.vocabulary import registry_of
-from dualbrain.world.catalogue import open_scene
+from dualbrain.control.gatekeeper.config import Plan
+from dualbrain.control.gatekeeper.process import Process
+from dualbrain.control.gatekeeper.protocol.authentication import open_keys
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.robot_link.simulated_robot import Report
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.site_config import read_site
+from dualbrain.safety.integration.site import site_body
+from dualbrain.safety.supervisor.actions import Rung
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.skills.registry import registry_of
 from tests.stories.rig import GRASP, PLACE, contract
 
 PATIENCE = 300.0

@@ -4,16 +4,16 @@ import time
 
 import pytest
 
-from dualbrain.runtime.gatekeeper import bus
-from dualbrain.runtime.gatekeeper.wire import Rubbish, Wire, pair
+from dualbrain.control.gatekeeper.robot_link import packets
+from dualbrain.control.gatekeeper.robot_link.packet_socket import Rubbish, Wire, pair
 
-WORDS = (bus.Switch(on=True), bus.Write((0.1, -0.2), 0.04, 20.0), bus.Quit())
+WORDS = (packets.Switch(on=True), packets.Write((0.1, -0.2), 0.04, 20.0), packets.Quit())
 
 
 @pytest.fixture
 def ends():
     ours, theirs = pair()
-    here, there = Wire(ours, bus.from_robot), Wire(theirs, bus.to_robot)
+    here, there = Wire(ours, packets.from_robot), Wire(theirs, packets.to_robot)
     yield here, there
     here.close()
     there.close()
@@ -30,10 +30,10 @@ def test_packets_come_whole_and_in_order_and_nobody_waits(ends):
     assert there.open
 
 
-STATE = bus.State(0.0, 1, (), (), 0.0, (0.0, 0.0), driven=True)
+STATE = packets.State(0.0, 1, (), (), 0.0, (0.0, 0.0), driven=True)
 
 
-@pytest.mark.parametrize("data", [b"\xc1", b"rubbish", bus.encode(bus.Quit())[:1], bus.encode(STATE)])
+@pytest.mark.parametrize("data", [b"\xc1", b"rubbish", packets.encode(packets.Quit())[:1], packets.encode(STATE)])
 def test_what_is_no_packet_of_this_direction_is_rubbish_and_the_wire_stays_open(ends, data):
     here, there = ends
     here._link.send(data)
@@ -68,5 +68,5 @@ def test_a_dead_end_is_noticed_by_hearing_and_by_sending(ends):
 def test_sending_into_a_dead_end_closes_it(ends):
     here, there = ends
     here.close()
-    there.send(bus.Quit())
+    there.send(packets.Quit())
     assert not there.open

@@ -1,1 +1,1 @@
-"""How an adapted planner answers: untouched base and adapter in the runtime that serves, and what watches them."""
+"""Serving an adapted planner, and its measurement: canary, shadow comparison, perplexity."""

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import msgspec
 
-from dualbrain.adaptation.adapter_card import AdapterCard
-from dualbrain.adaptation.durable import write_durably
-from dualbrain.adaptation.serving.speaking import Said, say
+from dualbrain.adaptation.adapters.card import AdapterCard
+from dualbrain.adaptation.serving.raw_completion import Said, say
+from dualbrain.core.storage.atomic_files import write_durably
 from dualbrain.errors import InvalidSetup
-from dualbrain.planner.chat import Answer
-from dualbrain.planner.llama import LlamaPlanner
-from dualbrain.planner.short_prompt import render_short
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.llama_cpp import LlamaPlanner
+from dualbrain.planner.prompt.short_prompt import render_short
 
 LONGEST = 32
 """Tokens of an answer."""

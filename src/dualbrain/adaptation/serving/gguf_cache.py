@@ -10,14 +10,14 @@ from collections.abc import Callable
 from math import prod
 from pathlib import Path
 
-from dualbrain.adaptation.adapter_card import CONFIG, hashes_beside
-from dualbrain.adaptation.durable import write_durably
-from dualbrain.adaptation.serving.gguf_base import read_gguf_base
-from dualbrain.adaptation.serving.gguf_lora import VERSION, convert
-from dualbrain.adaptation.serving.layers import Layer, Stack
-from dualbrain.adaptation.serving.merged_gguf import write_merged
-from dualbrain.planner.llama_process import Worn
-from dualbrain.weights import find_file
+from dualbrain.adaptation.adapters.card import CONFIG, hashes_beside
+from dualbrain.adaptation.adapters.stacking import Layer, Stack
+from dualbrain.adaptation.conversion.gguf_base import read_gguf_base
+from dualbrain.adaptation.conversion.gguf_lora import VERSION, convert
+from dualbrain.adaptation.conversion.merged_gguf import write_merged
+from dualbrain.core.storage.atomic_files import write_durably
+from dualbrain.core.weights import find_file
+from dualbrain.planner.backends.llama_process import Worn
 
 SMALL = 512e6
 """Bytes of a base in half precision; a larger one is served as it is."""

@@ -13,11 +13,11 @@ from threading import Lock, Thread
 
 import msgspec
 
-from dualbrain.adaptation.adapter_card import IN_TORCH, AdapterCard
+from dualbrain.adaptation.adapters.card import IN_TORCH, AdapterCard
 from dualbrain.errors import UNREADABLE, InvalidSetup
-from dualbrain.planner.prompt import Message
+from dualbrain.planner.introspection import messages_of, template_of
+from dualbrain.planner.prompt.full_prompt import Message
 from dualbrain.planner.protocol import ERROR, STOP, Planner
-from dualbrain.planner.reading import messages_of, template_of
 from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Proposal
 

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
 

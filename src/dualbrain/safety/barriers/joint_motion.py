@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter, home
+from dualbrain.safety.barriers.scenarios import arm_filter, home
 
 
 def _trial() -> Trial:

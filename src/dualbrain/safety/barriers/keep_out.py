@@ -6,14 +6,14 @@ from math import cos, sin
 
 import numpy as np
 
-from dualbrain.embodiment.body import Body, Bound, Tracking
-from dualbrain.embodiment.differential_base import differential_base
-from dualbrain.records import Box, Pose
+from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.robots.differential_drive import differential_base
+from dualbrain.robots.model import Body, Bound, Tracking
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import EXACT
-from dualbrain.safety.filter import SafetyFilter
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.barriers.scenarios import EXACT
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.rows import Rank
 
 TALL = 5.0
 """Half the height of a region [m], so that the nearest way out is always sideways."""

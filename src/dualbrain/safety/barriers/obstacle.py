@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dualbrain.records import Pose, Sphere
+from dualbrain.core.geometry.shapes import Pose, Sphere
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter, centres, home, tool_push
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.barriers.scenarios import arm_filter, centres, home, tool_push
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.rows import Rank
 
 PLACE = (0.62, 0.0, 0.45)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter, home
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.barriers.scenarios import arm_filter, home
+from dualbrain.safety.cbf.rows import Rank
 
 FOLDED = np.array([-0.64, 1.66, -0.08, -2.82, 0.5, 1.17, 0.84])
 """A posture in which the hand would be inside the arm."""

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dualbrain.embodiment.robot import RobotState
+from dualbrain.robots.interface import RobotState
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter
-from dualbrain.safety.rows import Rank, Row
+from dualbrain.safety.barriers.scenarios import arm_filter
+from dualbrain.safety.cbf.rows import Rank, Row
 
 BENT = np.array([0.0, 0.0, np.pi / 2, -1.2, 0.0, 1.2, 0.0])
 """A singular posture: the shoulder's first and third axes and the elbow leave one direction out."""

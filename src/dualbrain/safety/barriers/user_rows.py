@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter, home
-from dualbrain.safety.rows import Rank, Row
+from dualbrain.safety.barriers.scenarios import arm_filter, home
+from dualbrain.safety.cbf.rows import Rank, Row
 
 
 def _trial() -> Trial:
@@ -31,6 +31,6 @@ BARRIER = Barrier(
     alpha="the user's",
     margins=(),
     source="SafetyFilter.constrain",
-    where="safety/rows.py onto kernel/src/dbk_rows.c",
+    where="safety/cbf/rows.py onto kernel/src/dbk_rows.c",
     trial=_trial,
 )

@@ -7,12 +7,12 @@ from math import sqrt
 
 import numpy as np
 
+from dualbrain.core.geometry.shapes import HalfSpace, Pose, Quaternion, Vector
 from dualbrain.errors import InvalidSetup
-from dualbrain.records import HalfSpace, Pose, Quaternion, Vector
 from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
-from dualbrain.safety.barriers.trials import arm_filter, centres, home, tool_push
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.barriers.scenarios import arm_filter, centres, home, tool_push
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.rows import Rank
 
 HAND = ("hand", "fingers", "held")
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.closest import Closest, ClosestControl
-from dualbrain.safety.control_affine.answer import FilteredControl
+from dualbrain.safety.cbf.qp import Closest, ClosestControl
+from dualbrain.safety.cbf.relaxation import Conflict, above, anywhere
+from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.control_affine.result import FilteredControl
 from dualbrain.safety.control_affine.rows import CompiledRows
 from dualbrain.safety.control_affine.system import Barrier, ControlAffine
-from dualbrain.safety.least_violation import Conflict, above, anywhere
-from dualbrain.safety.result import Reason, Status
-from dualbrain.safety.rows import Rank
 
 Array = NDArray[np.float64]
 UNLIMITED = 1e9

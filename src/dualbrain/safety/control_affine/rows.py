@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.safety.control_affine.degree import relative_degree, scalar
+from dualbrain.safety.control_affine.relative_degree import relative_degree, scalar
 from dualbrain.safety.control_affine.system import Barrier, ControlAffine, Expression, casadi
 
 Array = NDArray[np.float64]

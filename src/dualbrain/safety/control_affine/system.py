@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualbrain.errors import InvalidSetup, MissingPart
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.cbf.rows import Rank
 
 Array = NDArray[np.float64]
 Expression = Any

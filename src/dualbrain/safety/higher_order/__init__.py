@@ -1,6 +1,6 @@
 """Barriers of relative degree two: a filter on joint accelerations."""
 
-from dualbrain.safety.higher_order.answer import FilteredAcceleration
 from dualbrain.safety.higher_order.filter import AccelerationConfig, AccelerationFilter
+from dualbrain.safety.higher_order.result import FilteredAcceleration
 
 __all__ = ["AccelerationConfig", "AccelerationFilter", "FilteredAcceleration"]

@@ -8,18 +8,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup
-from dualbrain.safety.closest import Closest, ClosestControl
-from dualbrain.safety.higher_order.answer import FilteredAcceleration
-from dualbrain.safety.higher_order.limits import acceleration_box, limits_of
-from dualbrain.safety.higher_order.motion import Spheres
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.qp import Closest, ClosestControl
+from dualbrain.safety.cbf.relaxation import Conflict, above
+from dualbrain.safety.cbf.result import Reason, Status
+from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.higher_order.acceleration_box import acceleration_box, limits_of
 from dualbrain.safety.higher_order.pairs import OWN, OwnPairs, Pairs, ThingPairs, joined
-from dualbrain.safety.higher_order.sampling import courses
-from dualbrain.safety.least_violation import Conflict, above
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.safety.result import Reason, Status
-from dualbrain.safety.rows import Rank
+from dualbrain.safety.higher_order.result import FilteredAcceleration
+from dualbrain.safety.higher_order.sampling_margin import courses
+from dualbrain.safety.higher_order.sphere_kinematics import Spheres
 
 Array = NDArray[np.float64]
 FAR_OUTSIDE = 0.2

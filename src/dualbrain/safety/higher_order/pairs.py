@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dualbrain.embodiment.body import Body
 from dualbrain.errors import InvalidSetup, UnknownName
-from dualbrain.safety.higher_order.gaps import Solids
-from dualbrain.safety.higher_order.motion import Index, Motion, Spheres, cross
-from dualbrain.safety.higher_order.sampling import Course, lasting, margin
-from dualbrain.safety.obstacles import Obstacle
-from dualbrain.safety.rows import Rank
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.rows import Rank
+from dualbrain.safety.higher_order.distances import Solids
+from dualbrain.safety.higher_order.sampling_margin import Course, lasting, margin
+from dualbrain.safety.higher_order.sphere_kinematics import Index, Motion, Spheres, cross
 
 Array = NDArray[np.float64]
 OWN = -1

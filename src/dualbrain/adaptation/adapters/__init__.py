@@ -1,0 +1,1 @@
+"""Adapter registry: cards, compatibility, comparison, promotion."""

@@ -1,0 +1,1 @@
+"""Conversion of adapters and base models between formats (peft, GGUF)."""

@@ -1,0 +1,48 @@
+"""Several adapters on one base as one: B₁A₁ + B₂A₂ = [B₁ B₂][A₁; A₂], exactly, at the sum of their ranks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dualbrain.adaptation.conversion.peft_lora import CONFIG, WEIGHTS, Pair, read_lora
+
+
+def combined(folders: list[Path]) -> dict[str, Pair]:
+    """The pairs of all adapters in `folders`, which are worn together, joined layer by layer."""
+    joined: dict[str, Pair] = {}
+    for folder in folders:
+        for module, pair in read_lora(folder).items():
+            before = joined.get(module)
+            joined[module] = pair if before is None else Pair(
+                np.concatenate((before.a, pair.a)), np.concatenate((before.b, pair.b), axis=1)
+            )  # fmt: skip
+    return joined
+
+
+def write_peft(pairs: dict[str, Pair], folder: Path, *, base: str) -> None:
+    """Write `pairs` to `folder` as peft and vLLM load them: float32, α = r, so that the scaling is 1.
+
+    File by file: for a folder that is whole or not there, name one of `whole_folder`.
+    """
+    from safetensors.numpy import save  # noqa: PLC0415  (only where an adapter is exported)
+
+    folder.mkdir(parents=True, exist_ok=True)
+    ranks = {module: len(pair.a) for module, pair in pairs.items()}
+    most = max(ranks.values())
+    other = {module: rank for module, rank in ranks.items() if rank != most}
+    told: dict[str, Any] = {
+        "peft_type": "LORA", "task_type": "CAUSAL_LM", "base_model_name_or_path": base, "inference_mode": True,
+        "r": most, "lora_alpha": most, "rank_pattern": other, "alpha_pattern": other, "lora_dropout": 0.0,
+        "bias": "none", "use_dora": False, "use_rslora": False, "fan_in_fan_out": False, "modules_to_save": None,
+        "target_modules": sorted({module.rpartition(".")[2] for module in pairs}),
+    }  # fmt: skip
+    tensors = {
+        f"base_model.model.{module}.lora_{half}.weight": np.ascontiguousarray(matrix, np.float32)
+        for module, pair in pairs.items() for half, matrix in (("A", pair.a), ("B", pair.b))
+    }  # fmt: skip
+    (folder / WEIGHTS).write_bytes(save(tensors, {"format": "pt"}))
+    (folder / CONFIG).write_text(json.dumps(told, indent=2, sort_keys=True))

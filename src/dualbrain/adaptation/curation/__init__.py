@@ -1,0 +1,1 @@
+"""Curation of the data set D_clean from recorded episodes."""

@@ -1,0 +1,52 @@
+"""Balance over skills and rare cases: a sample is as rare as the rarest thing in it; rare ones are shown more often.
+
+Nothing is thrown away. The square root lies between showing the world as it came and showing all kinds alike (the same
+tempering by which multilingual models sample their languages, Conneau et al. 2020, section 3.1, there with 0.3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from dualbrain.adaptation.curation.candidate import Candidate
+from dualbrain.contracts.contract import Action
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.skill_spec import Choice
+
+
+def repeats(found: Sequence[Candidate], registry: Registry, most: int) -> list[int]:
+    """How often an epoch shows each of `found`: round(√(N / n_a)), at most `most`, a being its rarest attribute.
+
+    n_a of the N samples have attribute a: a skill, a choice of a parameter (`approach=tilted`), or a symbol of a thing
+    that the contract names. What half of all samples have is shown once. Law: a rarer sample is never shown less.
+    """
+    tables = [attributes(one, registry) for one in found]
+    counts = Counter(attribute for table in tables for attribute in table)
+    rarest = [min((counts[attribute] for attribute in table), default=len(found)) for table in tables]
+    return [min(most, max(1, round(math.sqrt(len(found) / n)))) for n in rarest]
+
+
+def attributes(one: Candidate, registry: Registry) -> frozenset[str]:
+    """The kinds that `one` belongs to."""
+    actions = one.contract.action_sequence if one.contract else ()
+    named = {str(value) for action in actions for value in action.params.values() if isinstance(value, str)}
+    chosen = {choice for action in actions for choice in _choices(action, registry)}
+    return frozenset({*one.family, *chosen, *_symbols(one.summary, named)})
+
+
+def _choices(action: Action, registry: Registry) -> list[str]:
+    parameters = registry.skill(action.skill).parameters
+    words = [p.name for p in parameters if isinstance(p, Choice) and p.name in action.params]
+    return [f"{action.skill}.{name}={action.params[name]}" for name in words]
+
+
+def _symbols(summary: str, named: set[str]) -> set[str]:
+    """What the scene says of the `named` things and of people, without names."""
+    found: set[str] = set()
+    for line in summary.splitlines():
+        name, _, rest = line.partition(":")
+        if name in named or name == "person":
+            found |= {f"{'person ' if name == 'person' else ''}{part.strip()}" for part in rest.split(",")}
+    return found - {"", "object", "container"}

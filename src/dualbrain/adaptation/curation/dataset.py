@@ -1,0 +1,143 @@
+"""A data set on disk: two files of lines and a card that says what they are, named by a hash of their bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.adaptation.curation.curate import Curated, Curation
+from dualbrain.adaptation.curation.sample import Sample, from_lines, to_lines
+from dualbrain.contracts.registry import Registry
+from dualbrain.core.storage.atomic_files import write_durably
+from dualbrain.core.text import apart
+from dualbrain.errors import UNREADABLE, InvalidSetup, MissingPart
+from dualbrain.planner.prompt.short_prompt import short_template_hash
+
+TRAIN, HELD_OUT, CARD = "train.jsonl", "held_out.jsonl", "dataset.json"
+FORM = "conversational prompt-completion, JSON lines"
+
+
+class DatasetCard(msgspec.Struct, frozen=True):
+    """What a data set is, where it came from and what was left out; `hash` is over the bytes of both files.
+
+    `ledger` is the hash of the newest event that was read, `event` its number. `left_out` counts episodes by reason,
+    `merged` those that a near-duplicate stands for. `sources` counts samples and merged ones by who proposed them.
+    `prompt` is the hash of the prompt's template, `registry` that of the vocabulary; `also` are those of further robots
+    in it, by name.
+    `site` is the hash of that vocabulary as it is at a site, "" where none was named. The rest are the dials of
+    curation; older cards do not tell `physical`.
+    """
+
+    hash: str
+    form: str
+    robot: str
+    registry: str
+    prompt: str
+    ledger: str
+    event: int
+    memories: int
+    train: int
+    held_out: int
+    shown: int
+    scenes: int
+    merged: int
+    left_out: dict[str, int]
+    sources: dict[str, int]
+    epsilon: float
+    slowest: float
+    most_repeats: int
+    share_held_out: float
+    salt: str
+    also: dict[str, str] = {}
+    physical: bool | None = None
+    site: str = ""
+
+
+class Dataset(msgspec.Struct, frozen=True):
+    """A data set as read back."""
+
+    card: DatasetCard
+    train: tuple[Sample, ...]
+    held_out: tuple[Sample, ...]
+
+
+def dataset_of(curated: Curated, registry: Registry, dials: Curation, *, site: Registry | None = None) -> Dataset:
+    """The data set with its card; `site` is the vocabulary at the site whose episodes were read, too."""
+    rows = (*curated.train, *curated.held_out)
+    card = DatasetCard(
+        dataset_hash(to_lines(curated.train), to_lines(curated.held_out)), FORM, registry.robot, registry.hash,
+        short_template_hash(), curated.head.hash, curated.head.seq, curated.memories,
+        len(curated.train), len(curated.held_out), sum(row.repeats for row in curated.train),
+        len({row.scene for row in rows}), curated.merged,
+        {reason: len(names) for reason, names in curated.left_out.items()},
+        dict(sorted(Counter(source for row in rows for source in _sources(row)).items())),
+        dials.rules.epsilon, dials.rules.slowest,
+        dials.most_repeats, dials.held_out, dials.salt, physical=dials.rules.physical,
+        site=site.hash if site else "",
+    )  # fmt: skip
+    return Dataset(card, curated.train, curated.held_out)
+
+
+def _sources(row: Sample) -> tuple[str, ...]:
+    return (row.source, *(one.source for one in row.others))
+
+
+def other_dials(card: DatasetCard, dials: Curation) -> str:
+    """In which dials of curation the data set of `card` was made otherwise than by `dials`; "" if in none."""
+    rules, made = dials.rules, {"epsilon": card.epsilon, "slowest": card.slowest, "most_repeats": card.most_repeats}
+    made |= {"held_out": card.share_held_out, "salt": card.salt}
+    if card.physical is not None:
+        made["physical"] = card.physical
+    here = {"epsilon": rules.epsilon, "slowest": rules.slowest, "physical": rules.physical}
+    return apart(made, here | {"most_repeats": dials.most_repeats, "held_out": dials.held_out, "salt": dials.salt})
+
+
+def made_otherwise(card: DatasetCard, made: Mapping[str, object]) -> str:
+    """In which of the parts `made` tells, or in the prompt's template, `card` tells another; "" if in none."""
+    here = {"prompt": short_template_hash(), **made}
+    return apart({part: getattr(card, part) for part in here}, here)
+
+
+def dataset_hash(train: bytes, held_out: bytes) -> str:
+    """SHA-256 over the hashes of both files: neither can be changed, nor a line moved from one to the other."""
+    parts = hashlib.sha256(train).digest() + hashlib.sha256(held_out).digest()
+    return hashlib.sha256(parts).hexdigest()
+
+
+def write_dataset(dataset: Dataset, folder: Path) -> None:
+    """Write both files and, last, the card; a folder that holds another data set is refused."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if (folder / CARD).exists() and read_card(folder).hash != dataset.card.hash:
+        raise InvalidSetup("data set folder", got="another data set", allowed="an empty folder", fix=str(folder))
+    write_durably(folder / TRAIN, to_lines(dataset.train))
+    write_durably(folder / HELD_OUT, to_lines(dataset.held_out))
+    write_durably(folder / CARD, msgspec.json.format(msgspec.json.encode(dataset.card), indent=2))
+
+
+def read_card(folder: Path) -> DatasetCard:
+    """The card in `folder`; raises `MissingPart` if there is none, `InvalidSetup` if it cannot be read."""
+    path = folder / CARD
+    if not path.is_file():
+        raise MissingPart(f"The data set {os.fspath(folder)}", fix="Make it with `dualbrain adapt --export FOLDER`.")
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=DatasetCard)
+    except UNREADABLE as error:
+        raise InvalidSetup(
+            "data set card", got=str(error), allowed="as this program writes it", fix=str(path)
+        ) from error
+
+
+def read_dataset(folder: Path) -> Dataset:
+    """The data set in `folder`; raises `InvalidSetup` if a file is not the one that the card names."""
+    card = read_card(folder)
+    train, apart = (folder / TRAIN).read_bytes(), (folder / HELD_OUT).read_bytes()
+    if (got := dataset_hash(train, apart)) != card.hash:
+        raise InvalidSetup(
+            "hash of the data set", got=got, allowed=card.hash, fix=f"A file was changed: make it anew. {folder}"
+        )
+    return Dataset(card, from_lines(train), from_lines(apart))

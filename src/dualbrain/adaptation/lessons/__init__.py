@@ -1,1 +1,0 @@
-"""Lessons in the contract language: instructions from templates, answered by contracts with random valid parameters."""

@@ -1,0 +1,1 @@
+"""Synthetic instruction data: instructions from templates, answered by random valid contracts."""

@@ -1,0 +1,118 @@
+"""What somebody asks for in one scene: the sentence, and the skeleton of the contract that answers it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dualbrain.adaptation.synthetic.templates import POSSIBLE, Book, Kind, Speech
+from dualbrain.contracts.contract import Value
+from dualbrain.contracts.scene_names import SceneNames
+
+Steps = tuple[tuple[str, dict[str, Value]], ...]
+"""Skills in order, each with the parameters that the sentence decides."""
+SHORT_NAME = 0.25
+"""How often a thing that is the only one of its kind is called without its colour."""
+MOST = 3
+"""Things of a group."""
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A sentence of one `kind` and the steps that answer it; `possible` is False where the answer is to decline."""
+
+    kind: str
+    sentence: str
+    steps: Steps
+    possible: bool
+
+
+def draw_errand(names: SceneNames, mobile: bool, book: Book, speech: Speech, rng: np.random.Generator) -> Errand | None:
+    """Something to ask in a scene with these `names`; None if what was drawn needs more than stands there."""
+    kinds = [name for name in book.kinds if name in speech.sentences]
+    shares = np.array([book.kinds[name].share for name in kinds])
+    name = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
+    kind, label = book.kinds[name], speech.labels.get(name, POSSIBLE)
+    sentence = str(rng.choice(np.array(speech.sentences[name], object)))
+    meant, group, words = _slots(names, mobile, kind, speech, rng)
+    if any(f"{{{slot}}}" in sentence and not word for slot, word in words.items()):
+        return None
+    if rng.random() < book.impossible.get(name, 0.0):
+        slot, what = _absent(names, mobile, book, sentence, rng)
+        refusal: dict[str, Value] = {"reason": book.reasons["absent"].format(what=what)}
+        return Errand(name, polish(sentence.format(**words | {slot: what}), rng), (("decline", refusal),), False)
+    sentence = polish(sentence.format(**words), rng)
+    if label != POSSIBLE:
+        return Errand(name, sentence, (("decline", {"reason": book.reasons[label]}),), False)
+    things: list[Value] = list(group) if kind.each else [meant["object"]]
+    steps = tuple(
+        (step["skill"], {key: (meant | {"object": thing})[slot] for key, slot in step.items() if key != "skill"})
+        for thing in things for step in kind.contract
+    )  # fmt: skip
+    return Errand(name, sentence, steps, True)
+
+
+def polish(sentence: str, rng: np.random.Generator) -> str:
+    """`sentence` as people type: with or without a capital and a full stop."""
+    manner = float(rng.random())
+    if manner < 0.4 or not sentence:
+        return sentence
+    sentence = sentence[0].upper() + sentence[1:]
+    return sentence if manner < 0.7 or sentence[-1] in ".?!" else f"{sentence}."
+
+
+def _slots(
+    names: SceneNames, mobile: bool, kind: Kind, speech: Speech, rng: np.random.Generator
+) -> tuple[dict[str, Value], list[str], dict[str, str]]:
+    """What each slot means, the things of a group, and words for each; "" where the scene has nothing for a slot.
+
+    To an arm the first place is a container, the others are spots on the table; to a robot that drives they are alike.
+    """
+    things, places = _shuffled(names.graspable, rng), _shuffled(names.receptive, rng)
+    containers, spots = (_shuffled(some, rng) for some in (names.receptive[:1], names.receptive[1:]))
+    target = next(iter({"container": containers, "place": spots, "any": places}[kind.target]), "")
+    elsewhere = next((one for one in (places if mobile or not spots else spots) if one != target), "")
+    named = {"object": things[0] if things else "", "second": things[1] if len(things) > 1 else "",
+             "target": target, "second_target": elsewhere}  # fmt: skip
+    words = {slot: _called(name, names, speech, rng) if name else "" for slot, name in named.items()}
+    group, plural = _group(names, rng)
+    heading = any("heading" in step for step in kind.contract)
+    number = round(float(rng.integers(-31, 32)) / 10, 1) if heading else float(rng.integers(1, 11))
+    return {**named, "number": number}, group, {**words, "group": plural, "number": f"{number:g}"}
+
+
+def _called(name: str, names: SceneNames, speech: Speech, rng: np.random.Generator) -> str:
+    """How somebody calls `name`: as it is spoken, or by its kind alone where that is enough."""
+    kind = name.rpartition("_")[2]
+    alone = sum(one.endswith(f"_{kind}") for one in names.both) == 1 and speech.spoken(name) == name.replace("_", " ")
+    return kind if alone and rng.random() < SHORT_NAME else speech.spoken(name)
+
+
+def _group(names: SceneNames, rng: np.random.Generator) -> tuple[list[str], str]:
+    """Two or three things of one colour or kind, in the order of the scene, and their name in the plural."""
+    groups: dict[str, list[str]] = {}
+    for name in names.graspable:
+        colour, _, kind = name.partition("_")
+        groups.setdefault(f"{colour} things", []).append(name)
+        groups.setdefault(f"{kind}s" if not kind.endswith("x") else f"{kind}es", []).append(name)
+    fitting = [plural for plural, found in groups.items() if 1 < len(found) <= MOST]
+    if not fitting:
+        return [], ""
+    plural = fitting[int(rng.integers(len(fitting)))]
+    return groups[plural], plural
+
+
+def _absent(names: SceneNames, mobile: bool, book: Book, sentence: str, rng: np.random.Generator) -> tuple[str, str]:
+    """A slot of the sentence, and words for something that is not there."""
+    absent, colour = book.absent, str(rng.choice(book.absent.colours))
+    if mobile:
+        return "target", str(rng.choice(absent.rooms))
+    if "{target}" in sentence and rng.random() < 0.4:
+        return "target", str(rng.choice(absent.places))
+    lacking = [f"{colour} {one}" for one in absent.things if f"{colour}_{one}" not in names.graspable]
+    return "object", str(rng.choice(lacking))
+
+
+def _shuffled(names: tuple[str, ...], rng: np.random.Generator) -> list[str]:
+    return [names[int(i)] for i in rng.permutation(len(names))]

@@ -1,0 +1,69 @@
+"""AdamW on float32 copies of the parameters, so that an adapter may be bf16 and yet learn in small steps."""
+
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from dualbrain.adaptation.training.process_group import ALONE, Team
+
+MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+
+
+class Masters:
+    """Holds a float32 master of each parameter; the parameter is the master, rounded.
+
+    A bf16 number has 8 bits: a step of 1e-3 of its size would be lost in it. Adapters in bf16 save the copies between
+    formats that adapters in float32 need at every layer.
+
+    In a team each process has its own, alike to the bit: gradients are summed over the processes, in float32, and all
+    take the same step.
+    """
+
+    def __init__(self, parameters: Mapping[str, torch.nn.Parameter], team: Team = ALONE) -> None:
+        """Copy `parameters`, by name."""
+        self._parameters, self._team = dict(parameters), team
+        self._masters = {name: p.detach().float().clone() for name, p in parameters.items()}
+        self._adam = torch.optim.AdamW(list(self._masters.values()), weight_decay=0.0)
+
+    def step(self, rate: float, clip: float) -> float:
+        """One step along the gradients, scaled down to norm `clip`; returns their norm before. Clears them.
+
+        If the norm is not finite nothing is changed.
+        """
+        for name, parameter in self._parameters.items():
+            self._masters[name].grad = None if parameter.grad is None else parameter.grad.float()
+            parameter.grad = None
+        self._team.sum([master.grad for master in self._masters.values()])
+        norm = torch.nn.utils.clip_grad_norm_(list(self._masters.values()), clip)
+        if not torch.isfinite(norm):
+            return float(norm)
+        for group in self._adam.param_groups:
+            group["lr"] = rate
+        self._adam.step()
+        self._round()
+        return float(norm)
+
+    def state(self) -> dict[str, Tensor]:
+        """Masters and moments by name, to be stored."""
+        found = {f"master/{name}": master for name, master in self._masters.items()}
+        for name, master in self._masters.items():
+            found |= {f"{what}/{name}": self._adam.state[master][what] for what in MOMENTS if self._adam.state[master]}
+        return found
+
+    def load(self, stored: Mapping[str, Tensor]) -> None:
+        """Go on exactly where `state` was taken."""
+        for name, master in self._masters.items():
+            master.copy_(stored[f"master/{name}"])
+            moments = {what: stored[f"{what}/{name}"].to(master.device, copy=True) for what in MOMENTS}
+            self._adam.state[master] = moments | {"step": moments["step"].cpu()}  # torch counts on the processor
+        self._round()
+
+    @torch.no_grad()
+    def _round(self) -> None:
+        for name, parameter in self._parameters.items():
+            parameter.copy_(self._masters[name])

@@ -1,0 +1,1 @@
+"""The trained model: base, LoRA layers, precision, quantization, batches."""

@@ -1,0 +1,121 @@
+"""The objective (paper 6.2): weighted cross-entropy, and a KL term that keeps the planner near the one it started as.
+
+    L = Σ_i ω_i Σ_t CE_it / Σ_i ω_i n_i  +  β Σ_i Σ_t KL(p_θ ‖ p_θ0)_it / Σ_i n_i
+
+over the n_i tokens t of each contract i, teacher-forced; the prompt teaches nothing. The normaliser is ours: with
+ω = 1 and β = 0 this is the mean cross-entropy of plain supervised fine-tuning.
+"""
+
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dualbrain.adaptation.config import ObjectiveDials
+
+TOP = 20
+"""K of the token gate."""
+
+
+class Loss(NamedTuple):
+    """The value to descend, and beside it the unweighted means over tokens [nats], detached."""
+
+    total: Tensor
+    cross_entropy: Tensor
+    divergence: Tensor
+
+
+def objective(
+    hidden: Tensor, head: Tensor, labels: Tensor, omega: Tensor, tokens: float, *, beta: float = 0.0,
+    base_hidden: Tensor | None = None, token_gate: bool = False,
+) -> Loss:  # fmt: skip
+    """L of some tokens as their share of a step of `tokens` tokens: the parts of a step sum to it.
+
+    `hidden` (n, d) are final-norm hidden states at the places that predict `labels` (n,), `head` (V, d) the frozen
+    output matrix, so logits are hidden·headᵀ. `omega` (n,) is ω̃ of the sample of each token (see `omega.normalised`).
+    `base_hidden` (n, d) are the starting model's states at the same places: with the same head they give p_θ0 exactly.
+    The divergence has the adapted p_θ first. `token_gate` weighs each token with H̃_t ∈ [0, 1] (see `soft_gate`).
+    """
+    log_p = log_probabilities(hidden, head)
+    ce = -log_p.gather(1, labels[:, None]).squeeze(1)
+    gate = soft_gate(log_p) if token_gate else 1.0
+    total = (omega * gate * ce).sum() / tokens
+    kl = torch.zeros((), device=ce.device)
+    if beta > 0.0 and base_hidden is not None:
+        with torch.no_grad():
+            log_q = log_probabilities(base_hidden, head)
+        kl = divergence(log_p, log_q).sum()
+        total = total + beta * kl / tokens
+    return Loss(total, ce.detach().sum() / tokens, kl.detach() / tokens)
+
+
+def log_probabilities(hidden: Tensor, head: Tensor) -> Tensor:
+    """The logarithm of softmax(hidden·headᵀ) in float32, shape (n, V)."""
+    return (hidden.to(head.dtype) @ head.T).float().log_softmax(-1)
+
+
+def divergence(log_p: Tensor, log_q: Tensor) -> Tensor:
+    """KL(p ‖ q) = Σ_v p_v (log p_v − log q_v) of each row [nats], shape (n,): at least 0, and 0 only where p = q."""
+    return (log_p.exp() * (log_p - log_q)).sum(-1)
+
+
+def entropy(log_p: Tensor) -> Tensor:
+    """H(p) = −Σ_v p_v log p_v of each row over the whole vocabulary [nats], shape (n,)."""
+    return -(log_p.exp() * log_p).sum(-1)
+
+
+def soft_gate(log_p: Tensor) -> Tensor:
+    """H̃_t = H(top 20 of p_t) / ln 20 ∈ [0, 1], detached: the entropy gate of EAFT (Diao et al. 2026, arXiv 2601.02151).
+
+    It silences tokens that the present model is sure of, right or wrong; an ablation, for limits of a body often are
+    what a planner is wrongly sure of.
+    """
+    k = min(TOP, log_p.shape[-1])
+    top = log_p.detach().topk(k, dim=-1).values.log_softmax(-1)
+    return entropy(top) / math.log(k)
+
+
+Values = NDArray[np.float64]
+
+LOW, HIGH = 5.0, 95.0
+"""Entropies are cut at these percentiles: the means of whole contracts lie close together, and one odd one would else
+take the whole scale."""
+LEAST = 1e-6
+"""A spread of entropies [nats] up to this is none."""
+
+
+def omega(memory_weights: Sequence[float], entropies: Sequence[float], dials: ObjectiveDials) -> Values:
+    """ω of each sample, shape (n,). ŵ_i is its memory weight w_i ∈ [0, 1], Ĥ_i its entropy scaled to [0, 1].
+
+    H_i [nats] is the mean entropy of the round's starting model over the contract's tokens. λ_H acts with the gate
+    "sample" only. Law: ω ≥ 1, ω = 1 everywhere if both λ are 0, and ω rises with w and with H.
+    """
+    w = np.clip(np.asarray(memory_weights, float), 0.0, 1.0)
+    lambda_h = dials.lambda_h if dials.entropy_gate == "sample" else 0.0
+    return 1.0 + dials.lambda_w * w + lambda_h * scaled(np.asarray(entropies, float))
+
+
+def scaled(entropies: Values) -> Values:
+    """`entropies` cut at their 5th and 95th percentile and brought to [0, 1]; all 0 if they do not differ."""
+    if not len(entropies):
+        return entropies
+    low, high = np.percentile(entropies, [LOW, HIGH])
+    return np.clip((entropies - low) / (high - low), 0.0, 1.0) if high - low > LEAST else np.zeros_like(entropies)
+
+
+def normalised(weights: Values, tokens: Sequence[int], shown: Sequence[int]) -> Values:
+    """ω̃_i = ω_i / ω̄ with ω̄ = Σ ω_i n_i / Σ n_i over all that an epoch shows (n_i `tokens`, each `shown` times).
+
+    L divides by Σ ω_i n_i. Dividing each batch by its own sum would undo ω (wholly, with one sample a batch); dividing
+    once by that of the data set keeps L, and no λ changes the effective learning rate.
+    """
+    n = np.asarray(tokens, float) * np.asarray(shown, float)
+    return weights * (n.sum() / (weights * n).sum())

@@ -1,0 +1,294 @@
+"""dualbrain adapt: what the ledger would teach, and fitting an adapter on it."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from dualbrain.cli.adapters.process_launcher import account_of, launched, team_here
+from dualbrain.cli.common.console import Account, columns
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.common.paths import cache
+from dualbrain.cli.memory.open_memory import reader, tell
+from dualbrain.errors import DualbrainError, InvalidSetup, MissingPart, WrongUsage
+
+if TYPE_CHECKING:
+    from dualbrain.adaptation.training.process_group import Team
+
+DATASET = "dataset"
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def adapt(
+    *, robot: str = "panda", base: str = "smollm2-135m-instruct", ledger: Path | None = None,
+    site: Path | None = None, config: Path | None = None, out: Path | None = None, export: Path | None = None,
+    dry_run: Flag = False, when_idle: Flag = False, json: Flag = False,
+) -> int:  # fmt: skip
+    """Learn from what went well: choose the clean episodes of a robot and fit an adapter of the planner on them.
+
+    Clean are believed successes of this robot and vocabulary with little intervention, not slower than their kind; not
+    one in which a person's hand was. Nothing in memory is changed. The adapter is used by nobody until it is promoted.
+    Interrupted in any way, the same command with the same --out goes on where it was; which folder that is is told.
+    Exit code 1 if the adapter is there, but what it was taught could not be written into the ledger; the same command
+    then writes that alone. A
+    launcher such as torchrun can start it in several processes, which share each step.
+
+    Parameters
+    ----------
+    robot
+        Whose planner.
+    base
+        The model that is adapted: from `dualbrain models list`, or base-135m.
+    ledger
+        Which memory; default in dualbrain's home.
+    site
+        The site file that the robot ran with: what it did there teaches, too, if the gate accepts it there.
+    config
+        A TOML file with the dials.
+    out
+        Where data set, checkpoints and adapter go; default a new folder under runs.
+    export
+        Write the data set there (JSON lines in prompt-completion form, and its card), and fit nothing.
+    dry_run
+        Only say what would be used, and what not and why.
+    when_idle
+        Fit only while the robot rests, the machine has little to do and no battery runs down; halted at once else.
+    json
+        Print one JSON object on stdout.
+    """
+    if dry_run and export is not None:
+        raise WrongUsage("--dry-run and --export", got="both", allowed="one: a dry run writes nothing")
+    if launched() and (dry_run or export or when_idle):
+        raise InvalidSetup("adapt in several processes", got="--dry-run, --export or --when-idle", allowed="a fit")
+    from dualbrain.adaptation.adapters.base_models import require_base
+
+    require_base(base)
+    folder = out or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-adapt"
+    if when_idle and not (dry_run or export):
+        from dualbrain.cli.adapters.adapt_when_idle import adapt_when_idle
+
+        with kept_in(folder, Account()):
+            return adapt_when_idle(
+                robot=robot, base=base, ledger=ledger, site=site, config=config, out=folder, json=json
+            )
+    from dualbrain.adaptation.config import AdaptConfig, read_config
+    from dualbrain.grounding.vocabulary import vocabulary, vocabulary_at
+
+    dials, registry = read_config(config) if config else AdaptConfig(), vocabulary(robot)
+    there = vocabulary_at(robot, site) if site else None
+    if dry_run or export is not None:
+        return _only_choose(ledger, registry, there, dials, export, json=json)
+    with team_here(adapt_with_torch, out) as team, kept_in(folder, account_of(team)):
+        team.once(lambda: _choose(ledger, registry, there, dials, folder))
+        return _fit(dials, registry, base, folder, ledger, team, json=json)
+
+
+@contextmanager
+def kept_in(folder: Path, account: Account) -> Generator[None]:
+    """Tell in which `folder` everything is kept, and on Ctrl-C how to go on there."""
+    _say_whole(account, f"all is kept in {folder}")
+    try:
+        yield
+    except KeyboardInterrupt:
+        _say_whole(account, f"the same command with --out {shlex.quote(str(folder))} goes on")
+        raise
+
+
+def _say_whole(account: Account, words: str) -> None:
+    """Print `words` as they are, on one line however long, so that a path or a command can be copied."""
+    account.print(words, markup=False, soft_wrap=True)
+
+
+def _only_choose(
+    ledger: Path | None, registry: Any, there: Any, dials: Any, export: Path | None, *, json: bool
+) -> int:  # fmt: skip
+    """Tell what would be taught; write it to `export`, if that is named."""
+    from dualbrain.adaptation.curation.dataset import write_dataset
+
+    dataset = _chosen(ledger, registry, there, dials, json=json)
+    if export is not None:
+        write_dataset(dataset, export)
+    return Exit.SUCCESS
+
+
+def _choose(ledger: Path | None, registry: Any, there: Any, dials: Any, folder: Path) -> None:
+    """Write the data set into `folder`, unless it is there already, of this ledger and by these dials."""
+    from dualbrain.adaptation.curation.dataset import read_card, write_dataset
+
+    if (folder / DATASET / "dataset.json").is_file():
+        _require_same(read_card(folder / DATASET), dials, folder, ledger, there)
+        Account().print(f"going on with the data set in {folder}")
+    else:
+        write_dataset(_chosen(ledger, registry, there, dials, json=False), folder / DATASET)
+
+
+def _require_same(card: Any, dials: Any, folder: Path, ledger: Path | None, there: Any) -> None:
+    """Raise `InvalidSetup` if the data set of `card` was chosen by other dials, from another ledger or site."""
+    from dualbrain.adaptation.curation.dataset import other_dials
+    from dualbrain.memory.ledger.hash_chain import Head
+    from dualbrain.memory.state.history import goes_on_from
+
+    if others := other_dials(card, dials.curation):
+        fix = "Name another --out to choose anew, or the dials of before to go on."
+        raise InvalidSetup(
+            f"[curation] of the data set in {folder}", got=others, allowed="what it was made by", fix=fix
+        )
+    if card.site != (site := there.hash if there else ""):
+        got, allowed = (hash[:16] or "none" for hash in (site, card.site))
+        fix = "Name another --out to choose anew, or the --site of before to go on."
+        raise InvalidSetup(f"site of the data set in {folder}", got=got, allowed=allowed, fix=fix)
+    with reader(ledger) as opened:
+        if not goes_on_from(opened, Head(card.event, card.ledger)):
+            allowed = f"the one whose event {card.event} is {card.ledger[:16]}"
+            fix = "Name another --out to choose anew, or with --ledger the memory of before to go on."
+            raise InvalidSetup(f"ledger of the data set in {folder}", got=str(opened.path), allowed=allowed, fix=fix)
+
+
+def _chosen(ledger: Path | None, registry: Any, there: Any, dials: Any, *, json: bool) -> Any:
+    """The data set of the ledger, told on stderr, or on stdout as JSON; `there` is the vocabulary at a site."""
+    from dualbrain.adaptation.curation.curate import curate
+    from dualbrain.adaptation.curation.dataset import dataset_of
+
+    with reader(ledger) as opened:
+        curated = curate(opened, registry, dials.curation, site=there)
+    dataset = dataset_of(curated, registry, dials.curation, site=there)
+    if json:
+        tell({"card": dataset.card, "left_out": curated.left_out, "samples": _briefly(curated)})
+    else:
+        _say(dataset.card, curated)
+    return dataset
+
+
+def _fit(
+    dials: Any, registry: Any, base: str, folder: Path, ledger: Path | None, team: Team, *, json: bool
+) -> int:  # fmt: skip
+    """Fit an adapter on the data set in `folder`, with its progress on stderr."""
+    from dualbrain.adaptation.adapters.base_models import find_base
+    from dualbrain.adaptation.compliance import gate_judge
+    from dualbrain.adaptation.curation.dataset import read_dataset
+
+    dataset = read_dataset(folder / DATASET)
+    if dataset.card.registry != registry.hash:
+        got, fix = dataset.card.registry, "The vocabulary has changed since: choose anew, with another --out."
+        raise InvalidSetup("registry of the data set", got=got, allowed=registry.hash, fix=fix)
+    night = adapt_with_torch()
+    account = account_of(team)
+    card = night.adapt(
+        dataset, dials, find_base(base, cache()), gate_judge(registry), folder, cache=cache(),
+        clock=time.monotonic, tell=lambda progress: account.print(step_words(progress)), team=team,
+        own=_own(),
+    )  # fmt: skip
+    return team.once(lambda: _announce(card, dataset, folder, ledger, json=json))
+
+
+def _own() -> list[str]:
+    """Ids of the adapters here that their base alone has taught; of one that cannot be read nothing is known."""
+    from dualbrain.cli.adapters.registry import registry_of_adapters
+
+    registry = registry_of_adapters()
+    whole = [one for one, fault in registry.verify().items() if not fault]
+    return [one for one in whole if not registry.card(one).bootstrapped]
+
+
+def _announce(card: Any, dataset: Any, folder: Path, ledger: Path | None, *, json: bool) -> Exit:
+    """Register the adapter in `folder`, say so and what comes next; no success if nobody could note what taught it."""
+    from dualbrain.adaptation.adapters.registry import place_of
+    from dualbrain.cli.adapters.registry import registry_of_adapters
+
+    registry, account = registry_of_adapters(), Account()
+    registry.add(folder / "adapter", now=time.time())
+    noted = _note(card, dataset, folder, ledger)
+    account.print(f"adapter {card.id[:16]}; used by nobody until it is promoted. Next, in this order:")
+    for line in _next(card, folder, ledger, alone=not registry.champion(place_of(card))):
+        _say_whole(account, f"  {line}")
+    if json:
+        tell(card)
+    return Exit.SUCCESS if noted else Exit.FAILED_SAFELY
+
+
+def _next(card: Any, folder: Path, ledger: Path | None, *, alone: bool) -> tuple[str, ...]:
+    """The commands that lead a new adapter into service, in their order; `alone` if none serves in its place yet."""
+    from dualbrain.planner.registry import DEFAULT_PLANNER
+
+    one, results = card.id[:16], folder / "measured.json"
+    data, told = (shlex.quote(str(path)) for path in (folder / DATASET, results))
+    of = f" --ledger {shlex.quote(str(ledger))}" if ledger else ""
+    return (
+        f"dualbrain adapters measure {one} --data {data} --out {told}{of}",
+        f'dualbrain run "…" --robot {card.robot} --planner shadow:{one}{f"@{DEFAULT_PLANNER}" if alone else ""}',
+        f"dualbrain adapters promote {one} --measured {told}",
+    )
+
+
+def _note(card: Any, dataset: Any, folder: Path, ledger: Path | None) -> bool:
+    """Write into the ledger which memories the adapter was taught, so that an audit finds what a bad one reached.
+
+    The adapter is there already: that this cannot be written is told with what to do, and undoes nothing.
+    """
+    from dualbrain.cli.memory.open_memory import memory
+    from dualbrain.memory.maintenance.edits import note_adapter
+
+    names = sorted({name for row in dataset.train for name in row.memories})
+    try:
+        with memory(ledger, writing="adapt") as opened:
+            note_adapter(opened, card.id, card.dataset, names, now=time.time())
+    except DualbrainError as error:
+        Account().print(f"not written into the ledger: {error}", markup=False)
+        Account().print(
+            f"Until it is, an audit does not find which memories adapter {card.id[:16]} was taught. Give the same "
+            f"command again, with --out {folder}: it takes no further step, and writes that.",
+            markup=False,
+        )
+        return False
+    return True
+
+
+def adapt_with_torch() -> Any:
+    """What fits adapters; raises `MissingPart` where the extra is not installed."""
+    try:
+        from dualbrain.adaptation.training import train as night
+    except ModuleNotFoundError as error:
+        fix = "Install it with `pip install 'dualbrain[adapt]'`."
+        raise MissingPart(f"{error.name}, of the extra `adapt`,", fix=fix) from error
+    return night
+
+
+def step_words(progress: Any) -> str:
+    """One step for a person."""
+    words = f"step {progress.step}/{progress.steps}  loss {progress.cross_entropy:.3f}  KL {progress.divergence:.4f}"
+    if progress.held_out is not None:
+        asked, loss = progress.held_out.compliance, progress.held_out.loss
+        words += f"  held out: {'' if asked is None else f'{asked:.0%} compliant, '}loss {loss:.3f}"
+    return f"{words}  {progress.seconds_left / 60.0:.1f} min left"
+
+
+def _briefly(curated: Any) -> list[dict[str, Any]]:
+    parts = (("train", curated.train), ("held_out", curated.held_out))
+    fields = ("id", "memory", "events", "weight", "Delta", "duration", "repeats", "scene", "source", "contract")
+    return [{"part": part, **{name: getattr(row, name) for name in fields}} for part, rows in parts for row in rows]
+
+
+def _say(card: Any, curated: Any) -> None:
+    told = Account()
+    heads, rows = ("id", "part", "memory", "events", "Δ", "w", "shown", "contract"), list[tuple[str, ...]]()
+    for row in _briefly(curated):
+        numbers = (f"{row['Delta']:.4f}", f"{row['weight']:.2f}", f"{row['repeats']}×")
+        steps = row["contract"].partition('"action_sequence":')[2].removesuffix("}")
+        events = " ".join(str(event) for event in row["events"])
+        rows.append((row["id"][:8], row["part"], row["memory"], events, *numbers, steps[:60]))
+    told.print(columns(heads, rows, gives=("events", "contract")), markup=False, soft_wrap=True)
+    for reason, count in card.left_out.items():
+        told.print(f"left out: {count} {reason}")
+    told.print(
+        f"data set {card.hash[:16]}: {card.train} samples to train on ({card.shown} shown an epoch), {card.held_out} "
+        f"held out, {card.scenes} scenes; {card.merged} near-duplicates merged, of {card.memories} memories up to "
+        f"event {card.event}"
+    )

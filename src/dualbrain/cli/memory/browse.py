@@ -1,0 +1,257 @@
+"""dualbrain memory, looking: list, show, search, export, verify. Nothing here changes memory."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.common.console import Account, answer, listing, plain
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.memory.open_memory import encoder, limits_of, memory, reader, tell
+from dualbrain.errors import InvalidSetup, UnknownName
+
+if TYPE_CHECKING:
+    from dualbrain.memory.state.state import Memo
+    from dualbrain.records import Exemplar
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def list_memories(
+    *, status: str = "", outcome: str = "", source: str = "", at: str = "", limit: int = 50,
+    ledger: Path | None = None, json: Flag = False,
+) -> int:  # fmt: skip
+    """List memories, the newest first: id, time, outcome, Δ, weight w, status, source.
+
+    Parameters
+    ----------
+    status
+        Only these: active, candidate, quarantined or forgotten.
+    outcome
+        Only these, such as succeeded, failed, taken_over, rejected.
+    source
+        Only from this planner or file.
+    at
+        As memory was then: an event number, or a time such as 2026-11-21T14:00 (UTC).
+    limit
+        How many rows at most; 0 for all.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    with reader(ledger) as opened:
+        state = _state(opened, at)
+    wanted = [
+        memo for memo in reversed(state.memos)
+        if status in ("", memo.status) and outcome in ("", memo.kind) and source in ("", memo.provenance.source)
+    ]  # fmt: skip
+    shown = wanted[:limit] if limit else wanted
+    if json:
+        tell({"memories": shown, "total": len(wanted), "event": state.seq})
+        return Exit.SUCCESS
+    listing(("id", "stored", "outcome", "Δ", "w", "status", "source"), map(_row, shown))
+    Account().print(f"{len(shown)} of {len(wanted)} memories, at event {state.seq}")
+    return Exit.SUCCESS
+
+
+def show(name: str, /, *, ledger: Path | None = None, json: Flag = False) -> int:
+    """Show one memory whole: words, contract, outcome, provenance, and everything that moved its weight.
+
+    Parameters
+    ----------
+    name
+        Its id, as `dualbrain memory list` prints it.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.state.derivation import derive
+
+    with reader(ledger) as opened:
+        state = derive(opened)
+        if name not in state:
+            raise UnknownName("memory", name, tuple(state.rows), owner="this ledger")
+        memo = state[name]
+        stored = msgspec.json.decode(opened.event(memo.seq).payload)
+        history = [
+            {"event": event.seq, "kind": event.kind, "time": event.time, **msgspec.json.decode(event.payload)}
+            for event in opened.events("kind IN ('weight', 'folded', 'replayed') AND subject = ?", (name,))
+        ]
+    if json:
+        tell({"memo": memo, "stored": stored, "history": history})
+        return Exit.SUCCESS
+    told = stored["episode"]
+    answer(f"{name}: {plain(told['instruction'])}")
+    for line in told["summary"].splitlines():
+        answer(plain(line))
+    answer(f"contract: {msgspec.json.encode(told['contract']).decode()}")
+    ending = f"{memo.kind} {plain(told['outcome']['reason'])}".rstrip()
+    answer(f"outcome: {ending}; Δ {memo.Delta}; w {memo.weight:.3f}; {memo.status}")
+    answer(f"provenance: {msgspec.json.encode(memo.provenance).decode()}")
+    for one in history:
+        moved = (
+            f"{one['rule']} by {one['cause']}: {one['before']:.3f} -> {one['after']:.3f}"
+            if "rule" in one
+            else one["kind"]
+        )
+        answer(f"  event {one['event']}, {_date(one['time'])}: {moved}")
+    return Exit.SUCCESS
+
+
+def search(
+    instruction: str, /, *, scene: str = "0", robot: str = "panda", k: int = 5, lambda_s: float | None = None,
+    diversity: float | None = None, skills: tuple[str, ...] = (), outcome: tuple[str, ...] = (), after: str = "",
+    before: str = "", status: tuple[str, ...] = ("active",), ledger: Path | None = None, json: Flag = False,
+) -> int:  # fmt: skip
+    """Search memory as the planner would: the best exemplars and warnings for words and a scene, with all score parts.
+
+    Parameters
+    ----------
+    instruction
+        The words.
+    scene
+        Which world the robot would see: a number, FAMILY:SEED or a scene file.
+    robot
+        Which body.
+    k
+        How many exemplars.
+    lambda_s
+        1 trusts likeness, 0 trusts experience; R = lambda_s s + (1 - lambda_s) w.
+    diversity
+        0 takes the best; towards 1, unlike ones are preferred among the best.
+    skills
+        Only contracts that hold these skills.
+    outcome
+        Only these outcomes.
+    after
+        Only memories stored since then (UTC).
+    before
+        Only memories stored until then (UTC).
+    status
+        Which memories may be found; candidates and quarantined ones only if asked for.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.grounding.offline_gate import as_specified
+    from dualbrain.grounding.scene_summary import summarise
+    from dualbrain.grounding.vocabulary import vocabulary
+    from dualbrain.memory.embedding.posture_features import Posture
+    from dualbrain.memory.index.filters import Filter
+    from dualbrain.robots.interface import at_home
+    from dualbrain.robots.loader import load_body
+    from dualbrain.simulation.scenes.generators.catalogue import open_scene
+
+    seen = as_specified(open_scene(scene))
+    state = at_home(load_body(robot))
+    posture = Posture(tuple(state.q.tolist()), state.opening)
+    where = Filter(
+        skills=skills, outcomes=outcome, statuses=status, after=_time(after), before=_time(before)  # pyright: ignore
+    )  # fmt: skip
+    with memory(ledger) as opened:
+        recall = opened.recall(
+            instruction, summarise(seen), posture, robot, vocabulary(robot).hash, k=k, lambda_s=lambda_s,
+            diversity=diversity, where=where,
+        )  # fmt: skip
+    if json:
+        tell(recall)
+        return Exit.SUCCESS
+    rows = [_found("follow", hit) for hit in recall.exemplars] + [_found("avoid", hit) for hit in recall.warnings]
+    listing(("use", "rank", "R", "s", "w", "id", "instruction", "parts"), rows, gives=("instruction", "parts"))
+    return Exit.SUCCESS
+
+
+def export(out: Path | None = None, /, *, ledger: Path | None = None) -> int:
+    """Write all memories as lines of JSON, with weights, statuses and provenance, to a file or to stdout.
+
+    Parameters
+    ----------
+    out
+        The file; without one, stdout.
+    ledger
+        Which memory; default in dualbrain's home.
+    """
+    from dualbrain.memory.maintenance.export import rows
+    from dualbrain.memory.state.derivation import derive
+
+    with reader(ledger) as opened:
+        lines = (msgspec.json.encode(row) + b"\n" for row in rows(opened, derive(opened)))
+        if out is None:
+            for line in lines:
+                answer(line.decode().rstrip("\n"))
+        else:
+            with out.open("xb") as file:
+                file.writelines(lines)
+    return Exit.SUCCESS
+
+
+def verify(*, vectors: Flag = False, ledger: Path | None = None, json: Flag = False) -> int:
+    """Check that memory is what was written: the hash chain, all weights, the snapshot. Exit code 1 if it is not.
+
+    Parameters
+    ----------
+    vectors
+        Also make every vector anew and compare it, to the bit.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.embedding.joint_embedding import JointEmbedding
+    from dualbrain.memory.maintenance.verification import verify as examine
+
+    with reader(ledger) as opened:
+        embedding = JointEmbedding(encoder(), limits_of("panda")) if vectors else None
+        found = examine(opened, embedding=embedding)
+    if json:
+        tell({"whole": found.whole, **msgspec.to_builtins(found)})
+    chain = found.chain
+    words = f"{chain.events} events, " + (
+        "chain whole" if chain.whole else f"broken at {chain.broken_at}: {chain.fault}"
+    )
+    checked = "" if found.vectors_wrong is None else f", {found.vectors_wrong} vectors differ"
+    Account().print(
+        f"{words}; {found.memories} memories; snapshot {found.snapshot}{checked}; head {chain.head.hash[:16]}"
+    )
+    return Exit.SUCCESS if found.whole else Exit.FAILED_SAFELY
+
+
+def _row(memo: Memo) -> tuple[str, ...]:
+    numbers = ("-" if memo.Delta is None else f"{memo.Delta:.4f}", f"{memo.weight:.2f}")
+    return (memo.id, _date(memo.time), memo.kind, *numbers, memo.status, memo.provenance.source)
+
+
+def _found(use: str, hit: Exemplar) -> tuple[str, ...]:
+    parts = " ".join(f"{name} {value:.2f}" for name, value in hit.parts.items())
+    numbers = (f"{value:.3f}" for value in (hit.score, hit.similarity, hit.weight))
+    return (use, str(hit.rank), *numbers, hit.episode_id, hit.instruction, parts)
+
+
+def _state(opened: Any, at: str) -> Any:
+    from dualbrain.memory.state.derivation import as_of, derive
+
+    if at.isdigit():
+        return derive(opened, head=min(int(at), opened.head().seq))
+    return derive(opened) if not at else as_of(opened, _time(at) or 0.0)
+
+
+def _time(text: str) -> float | None:
+    """Seconds since 1970 of an ISO 8601 time, UTC unless it says otherwise; None for ""."""
+    if not text:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InvalidSetup("time", got=text, allowed="ISO 8601, such as 2026-11-21T14:00") from error
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _date(time: float) -> str:
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M")

@@ -1,0 +1,267 @@
+"""dualbrain memory, changing: audit, quarantine, release, forget, rollback, replay, compact, rebuild."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.common.console import Account, answer, listing
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.memory.open_memory import PATIENCE, config, encoder, ledger_path, memory, reader, tell
+from dualbrain.errors import InvalidSetup, UnknownName
+
+if TYPE_CHECKING:
+    from dualbrain.memory.maintenance.audit import SourceReport
+
+Flag = Annotated[bool, Parameter(negative="")]
+Note = Annotated[
+    bool, Parameter(negative="--no-note", help="Write what was found into the ledger, as an event of its own.")
+]
+COMMAND = "dualbrain memory"
+
+
+def audit(*, note: Note = False, ledger: Path | None = None, json: Flag = False) -> int:
+    """Look for label conflicts, near-duplicates, odd verdicts, and what each source did (its blast radius).
+
+    Nothing is changed. Exit code 1 if something is suspicious.
+
+    Parameters
+    ----------
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.audit import audit as examine
+    from dualbrain.memory.maintenance.edits import note_audit
+
+    with memory(ledger, writing="audit" if note else "") as opened:
+        report = examine(opened)
+        if note:
+            note_audit(opened, report, now=time.time())
+    if json:
+        tell(report)
+    else:
+        for one in report.findings:
+            answer(f"{one.kind}: {one.memory}: {one.text}" + (f" ({', '.join(one.others[:6])})" if one.others else ""))
+        heads = ("source", "memories", "weights moved", "Σ|Δw|", "adapters")
+        listing(heads, map(_reach, report.sources), gives=("adapters",))
+    Account().print(f"{len(report.findings)} findings in {report.memories} memories")
+    if report.utility.recalled:
+        Account().print(f"retrieval utility: {report.utility}")
+    return Exit.FAILED_SAFELY if report.findings else Exit.SUCCESS
+
+
+def quarantine(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
+    """Set memories aside: no longer recalled, and what their outcomes did to weights is undone as long as they are.
+
+    Parameters
+    ----------
+    ids
+        Which memories.
+    reason
+        Why, in a few words; it is written down.
+    source
+        Also all memories from this source.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.edits import quarantine as set_aside
+
+    return _changed("quarantine", ids, source, reason, ledger, set_aside, as_json=json)
+
+
+def release(*ids: str, reason: str, source: str = "", ledger: Path | None = None, json: Flag = False) -> int:
+    """Bring quarantined memories and candidates back; their influence on weights counts again, exactly as before.
+
+    Parameters
+    ----------
+    ids
+        Which memories.
+    reason
+        Why, in a few words; it is written down.
+    source
+        Also all memories from this source.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.edits import release as bring_back
+
+    return _changed("release", ids, source, reason, ledger, bring_back, as_json=json)
+
+
+def forget(*ids: str, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
+    """Put a tombstone on memories: never recalled again, their influence undone; the chain of events stays whole.
+
+    Parameters
+    ----------
+    ids
+        Which memories.
+    reason
+        Why, in a few words; it is written down.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.edits import forget as bury
+
+    return _changed("forget", ids, "", reason, ledger, bury, as_json=json)
+
+
+def rollback(event: int, /, *, reason: str, ledger: Path | None = None, json: Flag = False) -> int:
+    """Make memory what it was at an event; nothing is lost: rolling back to a later event brings the rest back.
+
+    Parameters
+    ----------
+    event
+        The number of the event, as `dualbrain memory list --at` and `show` print it.
+    reason
+        Why, in a few words; it is written down.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.edits import roll_back
+
+    with memory(ledger, writing="rollback") as opened:
+        before, head = opened.weights(), opened.ledger.head().seq
+        roll_back(opened, event, reason, now=time.time())
+        _tell_moves("rollback", before, opened.weights(), as_json=json)
+    Account().print(f"To undo: {COMMAND} rollback {head} --reason WHY")
+    return Exit.SUCCESS
+
+
+def replay(
+    name: str, /, *, tries: int = 5, seed: int = 0, note: Note = True, ledger: Path | None = None, json: Flag = False
+) -> int:
+    """Run a remembered contract again in simulation, through gate and filter, and compare outcome and Δ.
+
+    Exit code 0 if the memory stands, 1 if it is contradicted. Nothing is set aside by this; see `quarantine`.
+
+    Parameters
+    ----------
+    name
+        The memory's id.
+    tries
+        How many times, each in a slightly different world.
+    seed
+        Everything random in it.
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.maintenance.edits import note_replay
+    from dualbrain.memory.state.derivation import derive
+    from dualbrain.runtime.memory_replay import rerun
+
+    if tries < 1:
+        raise InvalidSetup("tries", got=tries, allowed="at least 1")
+    with reader(ledger) as opened:
+        state = derive(opened)
+        if name not in state:
+            raise UnknownName("memory", name, tuple(state.rows), owner="this ledger")
+        finding = rerun(opened, state[name], tries=tries, seed=seed, actor=f"{COMMAND} replay")
+    if note:
+        with memory(ledger, writing="replay") as opened:
+            note_replay(opened, finding, now=time.time())
+    if json:
+        tell(finding)
+    for kind, size in zip(finding.outcomes, finding.Deltas, strict=True):
+        Account().print(f"  {kind}, Δ {'-' if size is None else f'{size:.4f}'}")
+    Account().print(
+        f"{name} ({finding.remembered}): {'stands' if finding.agrees else 'contradicted'}; {finding.reason}"
+    )
+    return Exit.SUCCESS if finding.agrees else Exit.FAILED_SAFELY
+
+
+def compact(*, ledger: Path | None = None, json: Flag = False) -> int:
+    """Write a short ledger with the same memories, weights and statuses, to the bit; the long one stays as an archive.
+
+    Parameters
+    ----------
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.ledger.ledger import LedgerReader
+    from dualbrain.memory.maintenance.compaction import swap
+
+    path = ledger_path(ledger)
+    LedgerReader(path).close()  # a command never makes a ledger
+    before = path.stat().st_size
+    archive = swap(path, holder=f"{COMMAND} compact", now=time.time(), patience=PATIENCE)
+    sizes = {"before": before, "after": path.stat().st_size, "archive": str(archive)}
+    if json:
+        tell(sizes)
+    Account().print(f"{before / 1e6:.1f} MB -> {sizes['after'] / 1e6:.1f} MB; archive: {archive}")
+    return Exit.SUCCESS
+
+
+def rebuild(*, ledger: Path | None = None, json: Flag = False) -> int:
+    """Make all vectors anew from the episodes, and a snapshot: after a change of encoder or a fault.
+
+    Parameters
+    ----------
+    ledger
+        Which memory; default in dualbrain's home.
+    json
+        Print one JSON object on stdout.
+    """
+    from dualbrain.memory.embedding.joint_embedding import JointEmbedding
+    from dualbrain.memory.index.index import rebuild as make_anew
+    from dualbrain.memory.ledger.ledger import Ledger, LedgerReader
+    from dualbrain.memory.memory import Memory
+
+    path = ledger_path(ledger)
+    LedgerReader(path).close()
+    with Ledger(path, holder=f"{COMMAND} rebuild", now=time.time(), patience=PATIENCE) as opened:
+        dials, words = config(opened), encoder()
+        made = make_anew(opened, JointEmbedding(words, dials.limits, dials.embedding))
+        Memory(opened, words, dials).leave_snapshot(opened, now=time.time())
+    if json:
+        tell({"vectors": made})
+    Account().print(f"{made} vectors made anew")
+    return Exit.SUCCESS
+
+
+def _reach(one: SourceReport) -> tuple[str, ...]:
+    return (one.source, str(len(one.memories)), str(one.touched), f"{one.moved:.2f}", ", ".join(one.adapters) or "-")
+
+
+def _changed(
+    what: str, ids: tuple[str, ...], source: str, reason: str, ledger: Path | None, change: Callable[..., None], *,
+    as_json: bool,
+) -> int:  # fmt: skip
+    with memory(ledger, writing=what) as opened:
+        more = [memo.id for memo in opened.state.memos if source and memo.provenance.source == source]
+        names = tuple(dict.fromkeys((*ids, *more)))
+        before = opened.weights()
+        change(opened, names, reason, now=time.time(), actor=COMMAND)
+        _tell_moves(what, before, opened.weights(), as_json=as_json, names=names)
+    return Exit.SUCCESS
+
+
+def _tell_moves(
+    what: str, before: dict[str, float], after: dict[str, float], *, as_json: bool, names: tuple[str, ...] = ()
+) -> None:
+    moved: dict[str, Any] = {
+        name: [before.get(name), after.get(name)] for name in {**before, **after} if before.get(name) != after.get(name)
+    }
+    if as_json:
+        tell({"command": what, "memories": names, "weights": msgspec.to_builtins(moved)})
+    for name, (old, new) in list(moved.items())[:20]:
+        Account().print(f"  {name}: {'-' if old is None else f'{old:.3f}'} -> {'-' if new is None else f'{new:.3f}'}")
+    Account().print(f"{what}: {len(names) or 'no'} memories named, {len(moved)} weights changed")

@@ -1,0 +1,118 @@
+"""dualbrain robot identify: how well a robot's drive follows joint velocities, measured on its plant."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from dualbrain import __version__
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.errors import UNREADABLE, InvalidSetup
+from dualbrain.robots.loader import encode, load_body
+from dualbrain.robots.model import Body, Tracking
+
+if TYPE_CHECKING:
+    from dualbrain.simulation.identification.tracking_model import TrackingModel
+    from dualbrain.simulation.plant.joint_drive import DriveKind
+
+
+def identify(
+    *,
+    robot: str = "panda",
+    drive: str = "computed_torque",
+    seeds: int = 4,
+    seconds: float = 10.0,
+    load: float = 0.5,
+    json: Annotated[bool, Parameter(negative="")] = False,
+    write: Path | None = None,
+) -> int:
+    """Identify the tracking model of a robot: its lag, and how far it strays from it (what it does: cli/main.py).
+
+    Parameters
+    ----------
+    robot
+        The robot to drive.
+    drive
+        computed_torque (the plant's own) or velocity (MuJoCo's velocity actuators).
+    seeds
+        How many times everything is repeated with other random numbers.
+    seconds
+        Length of each run [s]; there are three a seed and load.
+    load
+        The largest unknown load at the tool that the figures must cover [kg].
+    json
+        Print the result as JSON and nothing else.
+    write
+        Data file of the body (JSON) whose tracking model of this drive is renewed.
+    """
+    from dualbrain.simulation.identification.mobile_tracking_model import identify_carrier
+    from dualbrain.simulation.identification.tracking_model import identify_plant
+    from dualbrain.simulation.plant.joint_drive import named_drive  # MuJoCo is heavy
+
+    kind, body = named_drive(drive), load_body(robot)
+    target = _target(write, body)
+    with _bar() as bar:
+        task = bar.add_task(f"{robot}, {drive}", total=1.0)
+        asked = {"load": load, "seeds": range(seeds), "seconds": seconds,
+                 "progress": lambda share, word: bar.update(task, completed=share, description=word)}  # fmt: skip
+        said, base_lag = _provenance(robot, kind, seeds, seconds, load), body.base_lag
+        if body.carries_arm:
+            both = identify_carrier(body, kind, **asked)
+            found, (entry, base_lag) = both.arm, both.entry(drive, said)
+        else:
+            found = identify_plant(body, kind, **asked)
+            entry = found.entry(drive, said)
+    if write is not None:
+        write.write_bytes(encode(msgspec.structs.replace(target.tracked(entry), base_lag=base_lag)))
+        print(f"{write}: tracking model of the {drive} drive renewed", file=sys.stderr)
+    if json:
+        print(msgspec.json.format(msgspec.json.encode({"entry": entry, "found": found}), indent=1).decode())
+    else:
+        _tell(body, entry, found, base_lag, written=write is not None)
+    return Exit.SUCCESS
+
+
+def _target(write: Path | None, body: Body) -> Body:
+    """The body whose data file will be written: what the file holds, else `body`."""
+    if write is None or not write.exists():
+        return body
+    try:
+        return msgspec.json.decode(write.read_bytes(), type=Body)
+    except UNREADABLE as error:
+        raise InvalidSetup("body data file", got=str(error), allowed="JSON of a body", fix=str(write)) from error
+
+
+def _bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(file=sys.stderr), transient=True)
+
+
+def _provenance(robot: str, drive: DriveKind, seeds: int, seconds: float, load: float) -> str:
+    asked = f"--robot {robot} --drive {drive} --seeds {seeds} --seconds {seconds:g} --load {load:g}"
+    return f"dualbrain robot identify {asked}; MuJoCo plant, dualbrain {__version__}, {datetime.now(UTC):%Y-%m-%d}"
+
+
+def _tell(
+    body: Body, entry: Tracking, found: TrackingModel, base_lag: float | None, *, written: bool
+) -> None:  # fmt: skip
+    table = Table("", "", box=None, pad_edge=False, show_header=False)
+    table.add_row("lag", f"{entry.lag * 1e3:.3f} ms" + (f", base {base_lag * 1e3:.3f} ms more" if base_lag else ""))
+    table.add_row("position error e", f"{entry.position_error * 1e3:.3f} mrad, with factor 1.25")
+    table.add_row("rows keep α e", f"{entry.budget(body.alpha):.5f} rad/s at α = {entry.rate:.2f}/s")
+    table.add_row("e by seed", ", ".join(f"{e * 1e3:.3f}" for e in found.by_seed) + " mrad")
+    table.add_row("e by joint", ", ".join(f"{e * 1e3:.3f}" for e in found.largest) + " mrad")
+    table.add_row("largest |ẏ − u|", f"{found.velocity_error:.4f} rad/s")
+    known = {tracking.drive: tracking for tracking in (body.tracking, *body.other_drives)}.get(entry.drive)
+    if known is not None:
+        table.add_row("carried so far", f"lag {known.lag * 1e3:.3f} ms, e {known.position_error * 1e3:.3f} mrad")
+    Console().print(table)
+    if not written:
+        print("To use it: --write FILE renews a body's data file, FilterConfig(tracking_error=...) overrides it.")

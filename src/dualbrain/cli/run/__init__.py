@@ -1,0 +1,1 @@
+"""Commands: run, demo, plan, check, schema, replay, fault."""

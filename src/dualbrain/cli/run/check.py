@@ -1,0 +1,45 @@
+"""dualbrain check: what the gate says of a contract."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from cyclopts import Parameter
+
+from dualbrain.cli.common.console import answer
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.errors import InvalidSetup
+
+
+def check(
+    contract: Annotated[Path, Parameter(allow_leading_hyphen=True)],
+    /,
+    *,
+    robot: str = "panda",
+    scene: Annotated[str, Parameter(help="scene number, FAMILY:SEED or file")] = "0",
+) -> int:
+    """Check a contract file against a robot's skills and a scene, and print the verdict as one JSON object.
+
+    The verdict has `accepted`, and on refusal `stage` (syntax, authorization or envelope), `pointer`, `got`, `allowed`
+    and `hint`. Exit code 0 when accepted, 3 when rejected.
+
+    Parameters
+    ----------
+    contract
+        The contract's JSON file, or - for standard input.
+    """
+    from dualbrain.contracts.verdict import Accepted
+    from dualbrain.grounding.offline_gate import check_contract
+
+    try:
+        data = sys.stdin.buffer.read() if str(contract) == "-" else contract.read_bytes()
+    except OSError as error:
+        raise InvalidSetup("contract file", got=error.strerror, allowed="a readable file", fix=str(contract)) from error
+    verdict = check_contract(data, robot=robot, scene=scene)
+    accepted = isinstance(verdict, Accepted)
+    body = {} if accepted else {key: value for key, value in msgspec.to_builtins(verdict).items() if key != "verdict"}
+    answer(msgspec.json.encode({"accepted": accepted, **body}).decode())
+    return Exit.SUCCESS if accepted else Exit.REJECTED

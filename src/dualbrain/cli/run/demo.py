@@ -1,0 +1,35 @@
+"""dualbrain demo: the main job in one command."""
+
+from __future__ import annotations
+
+from dualbrain.cli.common.exit_codes import Exit
+
+PLANNER = "starter-135m"
+"""Small, and comes with dualbrain but for what it sits on (98 MB). It knows a Panda at a table."""
+
+
+def demo(
+    instruction: str = "put the red cube in the bowl",
+    /,
+    *,
+    planner: str = PLANNER,
+    headless: bool = False,
+    scene: str = "8",
+) -> int:
+    """A person's forearm crosses the table while the arm does what it was told. Exits 0 only on real success.
+
+    Parameters
+    ----------
+    instruction
+        What to do, in words.
+    planner
+        Name from `dualbrain models list`, an adapter, or the URL of an OpenAI-compatible server.
+    headless
+        No live view; then time runs as fast as it can, in one process.
+    scene
+        Which world; in scene 8 a forearm crosses the path, and the filter has to bend it.
+    """
+    from dualbrain.cli.run.execution import carry_out
+
+    view = not headless
+    return Exit(carry_out(instruction, scene=scene, planner=planner, view=view, stay=view, live=view))

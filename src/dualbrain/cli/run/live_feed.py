@@ -1,0 +1,120 @@
+"""Feeds the live view from the control loop."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import time
+from collections import deque
+from math import inf, nan
+
+import numpy as np
+from rich.console import Console
+
+from dualbrain.control.control_loop import Moment
+from dualbrain.control.gatekeeper.protocol.messages import Glimpse
+from dualbrain.control.recording.trace import DEAD_BAND, Event
+from dualbrain.records import Episode, Scene
+from dualbrain.runtime.live_session import LiveSession
+from dualbrain.runtime.session import Session
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.simulation.plant.render_meshes import surfaces
+from dualbrain.visualization.live.operator_buttons import OperatorBoard
+from dualbrain.visualization.live.panel import spoken_speeds
+from dualbrain.visualization.live.view import LiveView
+from dualbrain.visualization.live.view_state import ViewState
+
+LINES = 12
+
+
+class Lookout:
+    """Turns moments of the loop into states of the view; running averages are kept over what it is shown."""
+
+    def __init__(self, session: Session, port: int, console: Console) -> None:
+        """Open the view and say where it is."""
+        self._body = session.body
+        self._plant = session.plant
+        self._kinematics = SafetyFilter(session.body)
+        code = secrets.token_urlsafe(9)
+        board = OperatorBoard(session.operate, code) if isinstance(session, LiveSession) else None
+        self._view = LiveView(
+            session.body, port, instruction=session.config.instruction, board=board, surfaces=surfaces(session.plant)
+        )
+        self._lines: deque[str] = deque(maxlen=LINES)
+        self._deltas: list[float] = []
+        self._h_min = float("inf")
+        self._console = console
+        if self._view.notice:
+            console.print(f"[yellow]{self._view.notice}[/]")
+        console.print(f"live view: [bold]{self._view.url}[/]")
+        if board:
+            console.print(f"its buttons: anyone may stop the arm, the rest need the operator's code [bold]{code}[/]")
+
+    def event(self, event: Event) -> None:
+        """Show a line of news."""
+        if event.kind != "perception":
+            self._lines.append(f"{event.t:.1f} s  {event.text}")
+
+    def moment(self, moment: Moment) -> None:
+        """Show a tick of the loop."""
+        state, result = moment.state, moment.result
+        if moment.action >= 0:
+            self._deltas.append(result.delta)
+            self._h_min = min(self._h_min, result.h_min)
+        centres, radii, _ = self._kinematics.spheres(state.q, state.opening)
+        numbers: dict[str, float | str] = {
+            "h_min": result.h_min, "delta": result.delta,
+            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
+            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
+            **spoken_speeds(self._body, result.u), "elapsed": state.stamp,
+            "phase": f"{moment.skill}: {moment.nominal.phase}", "status": result.status.name,
+            "barriers": ", ".join(result.barriers).replace("_", " "), "planner": "",
+        }  # fmt: skip
+        frames = self._plant.link_poses()
+        self._view.show(
+            ViewState(
+                state.stamp, frames, moment.scene, centres, radii, margins=_margins(moment.scene), numbers=numbers,
+                lines=tuple(self._lines),
+            )
+        )  # fmt: skip
+
+    def glimpse(self, glimpse: Glimpse) -> None:
+        """Show a tick of a gatekeeper's loop, as it was told over the socket."""
+        if glimpse.in_contract:
+            self._deltas.append(glimpse.delta)
+            self._h_min = min(self._h_min, inf if glimpse.h_min is None else glimpse.h_min)
+        q = np.array(glimpse.q)
+        centres, radii, _ = self._kinematics.spheres(q, glimpse.opening)
+        order = f" [{glimpse.order}: {glimpse.check}]" if glimpse.check else ""
+        numbers: dict[str, float | str] = {
+            "h_min": nan if glimpse.h_min is None else glimpse.h_min, "delta": glimpse.delta,
+            "Delta": float(np.mean(self._deltas)) if self._deltas else 0.0,
+            "intervention_frequency": float(np.mean(np.array(self._deltas) > DEAD_BAND)) if self._deltas else 0.0,
+            **spoken_speeds(self._body, np.array(glimpse.u)), "elapsed": glimpse.t,
+            "phase": f"{glimpse.skill}: {glimpse.phase}{order}",
+            "status": glimpse.status, "barriers": ", ".join(glimpse.barriers).replace("_", " "), "planner": "",
+        }  # fmt: skip
+        self._plant.place_arm(q, glimpse.opening)
+        frames, lines = self._plant.link_poses(), tuple(self._lines)
+        margins = _margins(glimpse.scene)
+        self._view.show(
+            ViewState(glimpse.t, frames, glimpse.scene, centres, radii, margins=margins, numbers=numbers, lines=lines)
+        )
+
+    def finish(self, episode: Episode, *, stay: bool) -> None:
+        """Show the end; with `stay` and a terminal, keep the page until Ctrl-C."""
+        self._view.finish(episode)
+        if stay and sys.stdin.isatty():
+            self._console.print("the live view stays open: Ctrl-C to leave")
+            try:
+                while True:
+                    time.sleep(0.5)
+            except KeyboardInterrupt:
+                pass
+        self._view.close()
+
+
+def _margins(scene: Scene) -> dict[str, float]:
+    """How far the filter inflates each thing [m]."""
+    return {one.name: one.margin for one in from_scene(scene, known=(), held=None)}

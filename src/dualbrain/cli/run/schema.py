@@ -1,0 +1,45 @@
+"""dualbrain schema: the contract schema that a robot's skills generate."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.contracts.schema import decoding_schema, validation_schema
+
+
+def schema(
+    *,
+    robot: str = "panda",
+    scene: str = "0",
+    form: Annotated[
+        Literal["validation", "decoding", "short"], Parameter(help="which of the generated forms")
+    ] = "validation",
+) -> int:
+    """Print the Draft-07 JSON Schema of a robot's contracts, with the names of a scene.
+
+    Parameters
+    ----------
+    robot
+        Whose skills.
+    scene
+        The scene whose object and place names are offered: a number or a scene file.
+    form
+        `validation` is what the gate enforces, `decoding` what constrained decoders get, `short` what the prompt says.
+    """
+    from dualbrain.grounding.vocabulary import spec_names, vocabulary
+    from dualbrain.simulation.scenes.generators.catalogue import open_scene
+
+    registry = vocabulary(robot)
+    names = spec_names(open_scene(scene, robot))
+    if form == "short":
+        from dualbrain.contracts.schema import short_form
+
+        print(short_form(registry, names))
+    else:
+        chosen = validation_schema(registry, names) if form == "validation" else decoding_schema(registry, names)
+        print(json.dumps(chosen, indent=2, ensure_ascii=False))
+    return Exit.SUCCESS

@@ -1,0 +1,1 @@
+"""The three-stage gate (syntax, authorization, envelope) that checks every contract."""

@@ -1,0 +1,131 @@
+"""Strict parser: any bytes become one JSON value or a refusal at the syntax stage; nothing is repaired or guessed."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, NoReturn
+
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.core.text import shown
+from dualbrain.errors import DualbrainError
+
+MAX_BYTES = 64 * 1024
+MAX_DEPTH = 16
+MAX_FIELDS = 64
+"""Per object; more than any skill has, few enough that refusing stays quick."""
+MAX_INT_DIGITS = 15
+"""Whole numbers of up to 15 digits are exact in double precision."""
+MAX_FLOAT_LENGTH = 40
+
+_ESCAPED = re.compile(rb"\\.", re.DOTALL)
+_NOT_STRUCTURE = bytes(set(range(256)) - set(b'[]{}"'))
+_STEP = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
+
+
+class _RefusedError(DualbrainError):
+    """Carries a refusal out of the decoder's hooks; never leaves this file."""
+
+    def __init__(self, refusal: Rejected) -> None:
+        super().__init__(refusal.hint)
+        self.refusal = refusal
+
+
+def parse(data: bytes) -> Any:
+    """The JSON value in `data`, or `Rejected` at stage syntax; never raises, whatever the bytes.
+
+    In order: at most 64 KiB; strict UTF-8 without byte order mark; brackets at most 16 deep outside strings; RFC 8259
+    JSON; objects of at most 64 fields, none twice; no NaN or infinity, spelt or by overflow; whole numbers of at most
+    15 digits; no lone surrogates. (json.loads alone accepts NaN, duplicate keys and lone surrogates, and reads 1e999 as
+    infinity.)
+    """
+    if len(data) > MAX_BYTES:
+        return _no(len(data), f"at most {MAX_BYTES} bytes", "send one contract and nothing else")
+    try:
+        return _decode(data)
+    except _RefusedError as refused:
+        return refused.refusal
+    except UnicodeDecodeError as error:
+        return _no(f"byte 0x{data[error.start]:02x} at {error.start}", "strict UTF-8", "encode the text as UTF-8")
+    except UnicodeEncodeError:
+        return _no("lone surrogate escape", "Unicode text", "write surrogate escapes in pairs")
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        near = shown(error.doc[error.pos : error.pos + 20])
+        return _no(near, "one JSON object (RFC 8259)", f"{error.msg} at {where}")
+
+
+def _decode(data: bytes) -> Any:
+    """The value in `data`; raises what `parse` turns into a refusal."""
+    text = data.decode("utf-8", "strict")
+    if _too_deep(data):
+        raise _RefusedError(
+            _no(f"deeper than {MAX_DEPTH}", f"brackets at most {MAX_DEPTH} deep", "a contract is 5 deep")
+        )
+    value = _DECODER.decode(text)
+    if b"\\u" in data:
+        json.dumps(value, ensure_ascii=False).encode("utf-8", "strict")
+    return value
+
+
+def _too_deep(data: bytes) -> bool:
+    """Whether brackets outside strings nest deeper than `MAX_DEPTH`.
+
+    Exact for text that is JSON up to any point: quotes are paired as the decoder pairs them. Linear in the data.
+    """
+    if b"\\" in data:
+        data = _ESCAPED.sub(b"", data)
+    depth = 0
+    structure = data.translate(None, _NOT_STRUCTURE).replace(b'""', b"")  # two quotes in a row change nothing outside
+    for outside in structure.split(b'"')[::2]:
+        for bracket in outside:
+            depth += _STEP[bracket]
+            if depth > MAX_DEPTH:
+                return True
+    return False
+
+
+def _no(got: object, allowed: str, hint: str) -> Rejected:
+    """A refusal of the document as a whole."""
+    return Rejected("syntax", "", got, allowed, hint)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object, unless it is too big or one key comes twice (readers differ on which of the two counts)."""
+    if len(pairs) > MAX_FIELDS:
+        raise _RefusedError(_no(f"object of {len(pairs)}", f"at most {MAX_FIELDS} fields in an object", "drop fields"))
+    members = dict(pairs)
+    if len(members) != len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))
+        raise _RefusedError(_no(shown(twice), "each key once in an object", "drop the duplicate key"))
+    return members
+
+
+def _float(literal: str) -> float:
+    """A finite double."""
+    value = float(literal)
+    if len(literal) > MAX_FLOAT_LENGTH or not -1e300 <= value <= 1e300:
+        raise _RefusedError(
+            _no(shown(literal), "numbers within 1e300 in at most 40 characters", "write a plain number")
+        )
+    return value
+
+
+def _int(literal: str) -> int:
+    """A whole number that double precision holds exactly."""
+    if len(literal.lstrip("-")) > MAX_INT_DIGITS:
+        raise _RefusedError(
+            _no(shown(literal), f"whole numbers of at most {MAX_INT_DIGITS} digits", "write a plain number")
+        )
+    return int(literal)
+
+
+def _constant(literal: str) -> NoReturn:
+    """NaN and infinities are no JSON and no number that a bound could judge."""
+    raise _RefusedError(_no(literal, "finite numbers", "write a plain number"))
+
+
+_DECODER = json.JSONDecoder(
+    object_pairs_hook=_object, parse_float=_float, parse_int=_int, parse_constant=_constant, strict=True
+)

@@ -1,0 +1,1 @@
+"""Protocol between a commander and the gatekeeper: frames, messages, authentication, server, client."""

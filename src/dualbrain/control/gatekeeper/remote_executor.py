@@ -1,0 +1,104 @@
+"""The local layer as the cortex sees it: over the socket. It shows what the planner needs, and carries nothing out.
+
+The gate here is a messenger: it sends the raw bytes and brings back the word of the gatekeeper's own gate.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from dualbrain.contracts.contract import Contract, Stamp
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.control.gatekeeper.protocol.client import GatekeeperLink, LinkLost
+from dualbrain.control.gatekeeper.protocol.messages import Refused
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.records import Outcome
+from dualbrain.robots.interface import RobotState
+from dualbrain.robots.model import Body
+
+LOOK_EVERY = 0.1
+"""How often the scene is asked for while somebody waits [s]."""
+
+
+@dataclass(slots=True)
+class Grip:
+    """What is held, by name."""
+
+    name: str
+
+
+@dataclass(slots=True)
+class Hand:
+    """The part of a limb that a planner hears of."""
+
+    holding: Grip | None = None
+
+
+@dataclass
+class RemoteLayer:
+    """Has what `run_episode` asks of a local layer; `interrupted` says that a person wants it to stop."""
+
+    body: Body
+    link: GatekeeperLink
+    log: FlightLog
+    interrupted: Callable[[], bool]
+    limb: Hand = field(default_factory=Hand)
+
+    def __post_init__(self) -> None:
+        """Look once."""
+        self.look()
+
+    def look(self) -> None:
+        """Ask for what there is to be seen."""
+        sight = self.link.look()
+        self.scene = sight.scene
+        self.state = RobotState(sight.now, 0, np.array(sight.q), np.zeros(self.body.n), sight.opening, (0.0, 0.0))
+        self.limb = Hand(Grip(sight.holding) if sight.holding else None)
+
+    def hold(self, duration: float, phase: str = "hold") -> None:
+        """Wait; the gatekeeper holds the arm by itself, whatever `phase` is called here."""
+        del phase
+        time.sleep(duration)
+        if self.link.now - self.state.stamp > LOOK_EVERY:
+            self.look()
+
+    def run(self, contract: Contract) -> Outcome:
+        """Wait for the outcome of the contract that the gatekeeper has accepted; a person may interrupt it."""
+        del contract
+        asked = False
+        try:
+            while True:
+                if self.interrupted() and not asked:
+                    self.link.operate("abort")
+                    asked = True
+                ended = self.link.ended_by_now(LOOK_EVERY)
+                if ended is not None:
+                    self.log.binding.update(ended.binding)
+                    self.look()
+                    return ended.outcome
+                self.look()
+        except LinkLost as why:
+            return Outcome("stopped", f"the gatekeeper is gone: {why}")
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteGate:
+    """Sends bytes, brings verdicts."""
+
+    link: GatekeeperLink
+
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+        """The gatekeeper's word; the arm moves from the moment in which it accepts."""
+        del names, principal, now
+        answer = self.link.propose(data, stamp.scene_version)
+        if isinstance(answer, Refused):
+            return Rejected("authorization", "", answer.reason, "a contract that is fit to be judged", "not considered")
+        if answer.rejected is not None:
+            return answer.rejected
+        return Accepted(msgspec.json.decode(data, type=Contract))

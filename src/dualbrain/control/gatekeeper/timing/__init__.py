@@ -1,0 +1,1 @@
+"""Timing of the control tick: periods, durations, histograms."""

@@ -1,0 +1,1 @@
+"""Recording of every control tick (MCAP) and its bit-exact replay."""

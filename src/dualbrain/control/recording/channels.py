@@ -1,0 +1,209 @@
+"""What a flight recording holds (MCAP channels, their messages) and how it is read back, in order and exactly.
+
+Every message is JSON. Finite floats round-trip bit for bit (shortest decimal form); the others are written as
+`{"float": "nan"}`, `{"float": "inf"}` and `{"float": "-inf"}`, because JSON has no word for them.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.control.recording.trace import Event, Trace, columns
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import Attempt, Scene
+
+Array = NDArray[np.float64]
+
+FORMAT = "dualbrain-1"
+METADATA = "dualbrain"
+MAGIC = b"\x89MCAP0\r\n"
+UNSUPERVISED = {"delta_supervisor": 0.0, "order": 0.0, "touched": 1.0}
+"""What recordings from before there was a supervisor leave out: nothing stood above the filter."""
+
+
+class EpisodeInfo(msgspec.Struct, frozen=True):
+    """What is known when recording starts (robot, guard, instruction, versions)."""
+
+    t: float
+    data: dict[str, Any]
+
+
+class SceneSeen(msgspec.Struct, frozen=True):
+    """One perceived scene."""
+
+    t: float
+    scene: Scene
+
+
+class AttemptMade(msgspec.Struct, frozen=True):
+    """One shot of the planner and the gate's verdict."""
+
+    t: float
+    attempt: Attempt
+
+
+class FilterCall(msgspec.Struct, frozen=True):
+    """A call that changes what the filter knows (observe, permit, attach, detach, constrain), with all its arguments.
+
+    `constrain` holds every row of the ticks that follow, also those that live barriers asked for at each of them.
+    """
+
+    t: float
+    name: str
+    arguments: dict[str, Any]
+
+
+class Ticks(msgspec.Struct, frozen=True):
+    """Consecutive ticks by column, as `trace.columns` names them; `phases` decodes the phase codes."""
+
+    t: float
+    n: int
+    phases: tuple[str, ...]
+    columns: dict[str, list[Any]]
+    width: int | None = None
+
+    def rows(self) -> Array:
+        """The logged rows (ticks, width), bit for bit."""
+        where = columns(self.n, self.width)
+        rows = np.empty((len(self.columns["t"]), where["phase"].stop))
+        for name, place in where.items():
+            if name in self.columns or name not in UNSUPERVISED:
+                rows[:, place] = np.asarray(self.columns[name], np.float64).reshape(len(rows), -1)
+            else:
+                rows[:, place] = UNSUPERVISED[name]
+        return rows
+
+
+Message = EpisodeInfo | SceneSeen | AttemptMade | Event | FilterCall | Ticks
+
+CHANNELS: dict[type[msgspec.Struct], str] = {
+    EpisodeInfo: "/episode", SceneSeen: "/scene", AttemptMade: "/attempt",
+    Event: "/event", FilterCall: "/filter_call", Ticks: "/tick",
+}  # fmt: skip
+TYPES = {topic: kind for kind, topic in CHANNELS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingState:
+    """Whether a recording holds everything: `dropped` messages, and the `problem` that ended it early, if any."""
+
+    complete: bool
+    dropped: int
+    problem: str
+
+
+def encode(message: Message) -> bytes:
+    """The message as JSON; arrays become lists."""
+    fast = msgspec.json.encode(message, enc_hook=_listed)
+    if b"null" not in fast:  # which is also what became of a NaN
+        return fast
+    return msgspec.json.encode(_finite(msgspec.to_builtins(message, enc_hook=_listed)))
+
+
+def decode(topic: str, data: bytes) -> Message:
+    """The message that `encode` wrote to `topic`."""
+    if b'{"float":' not in data:
+        return cast("Message", msgspec.json.decode(data, type=TYPES[topic]))
+    return cast("Message", msgspec.convert(_restored(msgspec.json.decode(data)), TYPES[topic]))
+
+
+def _listed(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return cast("NDArray[Any]", value).tolist()
+    raise InvalidSetup(
+        "recorded argument", got=type(value).__name__, allowed="records, dataclasses, arrays, numbers, text"
+    )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"float": str(value)}
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in cast("dict[str, Any]", value).items()}
+    return [_finite(part) for part in cast("list[Any]", value)] if isinstance(value, list | tuple) else value
+
+
+def _restored(value: Any) -> Any:
+    if isinstance(value, dict):
+        table = cast("dict[str, Any]", value)
+        if len(table) == 1 and table.get("float") in ("nan", "inf", "-inf"):
+            return float(table["float"])
+        return {key: _restored(part) for key, part in table.items()}
+    return [_restored(part) for part in cast("list[Any]", value)] if isinstance(value, list) else value
+
+
+def read_recording(path: Path) -> Iterator[Message]:
+    """Every message of the file in the order it was recorded; a file cut short is read up to its last whole chunk."""
+    return (decode(topic, data) for topic, data in _records(path) if topic in TYPES)
+
+
+def recording_state(path: Path) -> RecordingState:
+    """What the file says of itself; a file whose recorder was killed says nothing and is incomplete."""
+    for topic, data in _records(path):
+        if topic == METADATA:
+            return msgspec.json.decode(data, type=RecordingState)
+    return RecordingState(complete=False, dropped=0, problem="the recorder was ended before it could close the file")
+
+
+def read_trace(path: Path) -> Trace | None:
+    """The ticks and events of a recording as a `Trace`; None if it holds no tick."""
+    trace: Trace | None = None
+    events: list[Event] = []
+    for message in read_recording(path):
+        if isinstance(message, Ticks):
+            trace = trace or Trace(message.n, message.width)
+            trace.extend(message.rows())
+            trace.phases[:] = message.phases
+        elif isinstance(message, Event):
+            events.append(message)
+    if trace is not None:
+        trace.events.extend(events)
+    return trace
+
+
+def _records(path: Path) -> Iterator[tuple[str, bytes]]:
+    """(topic, JSON) of every message, then (METADATA, JSON of the recording's state) if the file was closed."""
+    from mcap.exceptions import EndOfFile, McapError  # noqa: PLC0415  (reading is rare, importing this module is not)
+    from mcap.records import Channel, Message, Metadata  # noqa: PLC0415
+    from mcap.stream_reader import CRCValidationError, StreamReader  # noqa: PLC0415
+    from zstandard import ZstdError  # noqa: PLC0415
+
+    topics: dict[int, str] = {}
+    data = path.read_bytes()
+    if not data.startswith(MAGIC):
+        raise InvalidSetup("recording", got=path.name, allowed="an MCAP file", fix=str(path))
+    try:
+        for record in StreamReader(BytesIO(data[: _whole(data)]), validate_crcs=True).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                yield topics[record.channel_id], record.data
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                yield METADATA, record.metadata["state"].encode()
+    except EndOfFile:
+        return
+    except (CRCValidationError, McapError, ZstdError, struct.error, KeyError, ValueError) as error:
+        raise InvalidSetup("recording", got=str(error), allowed="an undamaged file", fix=str(path)) from error
+
+
+def _whole(data: bytes) -> int:
+    """Where the last whole record ends; a record is one byte of kind, eight of length, then its content."""
+    if data.endswith(MAGIC) and len(data) > len(MAGIC):
+        return len(data)
+    end = len(MAGIC)
+    while (start := end + 9) <= len(data):
+        length = int.from_bytes(data[end + 1 : start], "little")
+        if start + length > len(data):
+            break
+        end = start + length
+    return end

@@ -1,0 +1,112 @@
+"""The flight log: one place where the control loop writes; it feeds the trace in memory and the recorder on disk."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import DEAD_BAND, WHOLE, Event, EventKind, Trace
+from dualbrain.records import ActionResult, Attempt, Outcome, OutcomeClass, Scene
+from dualbrain.robots.interface import RobotState
+from dualbrain.safety.cbf.filter import Filtered
+from dualbrain.safety.cbf.rows import Row
+
+Array = NDArray[np.float64]
+
+
+LATELY, HINDRANCES = 3.0, 2
+"""A row that bound this long [s] before the end of an action is named as what held it back, this many at most."""
+
+
+class FlightLog:
+    """Trace and recorder behind one door; the recorder may be absent (tests, sweeps)."""
+
+    def __init__(
+        self,
+        trace: Trace,
+        recorder: Recorder | None = None,
+        announce: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Bind the trace and, if given, the recorder and whoever is told of events as they happen.
+
+        `binding` counts the ticks of actions on which each barrier bound.
+        """
+        self.trace, self.recorder, self._announce = trace, recorder, announce
+        self.binding: Counter[str] = Counter()
+        self._bound: tuple[float, Filtered] | None = None
+        self._rows: tuple[Row, ...] = ()
+
+    def tick(
+        self, now: float, state: RobotState, u_nom: Array, result: Filtered, action: int, phase: str, *,
+        order: int = 0, touched: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Log one control tick; `order` and `touched` say what the supervisor did to it."""
+        row = self.trace.append(
+            now, state, u_nom, result, action=action, phase=phase, order=order, touched=touched
+        )  # fmt: skip
+        if action >= 0 and result.rows:
+            self.binding.update(result.barriers)
+            self._bound = now, result
+        if self.recorder:
+            self.recorder.tick(row)
+
+    def call(self, t: float, name: str, **arguments: Any) -> None:
+        """Log a call that changes the filter's tables, so that a replay can repeat it."""
+        if self.recorder:
+            self.recorder.call(t, name, **arguments)
+
+    def stated(self, t: float, rows: tuple[Row, ...]) -> None:
+        """Log the rows that no table holds, where they are not those of the last tick."""
+        if rows != self._rows:
+            self._rows = rows
+            self.call(t, "constrain", rows=rows)
+
+    def note(self, t: float, kind: EventKind, text: str, **data: Any) -> None:
+        """Log an event for people."""
+        event = self.trace.note(t, kind, text, **data)
+        if self.recorder:
+            self.recorder.event(event)
+        if self._announce:
+            self._announce(event)
+
+    def scene(self, scene: Scene) -> None:
+        """Log a perceived scene."""
+        if self.recorder:
+            self.recorder.scene(scene)
+
+    def attempt(self, t: float, attempt: Attempt) -> None:
+        """Log a planner's shot."""
+        if self.recorder:
+            self.recorder.attempt(t, attempt)
+
+    def mean_delta(self, first: int) -> float:
+        """Mean δ_t over the ticks from index `first` on; 0 without ticks (paper 4.4)."""
+        delta = self.trace["delta"][first:]
+        return float(np.mean(delta)) if len(delta) else 0.0
+
+    def outcome(self, kind: OutcomeClass, reason: str, first: int, actions: tuple[ActionResult, ...]) -> Outcome:
+        """The outcome of the segment that began at tick `first`; only ticks of its actions count (design 4)."""
+        chosen = np.flatnonzero(self.trace["action"][first:] >= 0) + first
+        if kind == "declined" or not len(chosen):
+            return Outcome(kind, reason, actions=actions)
+        delta, h, t = (self.trace[name][chosen] for name in ("delta", "h_min", "t"))
+        delta = np.nan_to_num(delta, nan=WHOLE)
+        h = h[~np.isnan(h)]  # ticks whose input was refused: nothing was measured
+        return Outcome(
+            kind, reason,
+            Delta=float(delta.mean()), Delta_sum=float(delta.sum()), delta_peak=float(delta.max()),
+            intervention_frequency=float(np.mean(delta > DEAD_BAND)), h_min=float(h.min()) if len(h) else None,
+            duration=float(t[-1] - t[0]), actions=actions, hindrance=self._hindrance(float(t[-1]), actions),
+        )  # fmt: skip
+
+    def _hindrance(self, end: float, actions: tuple[ActionResult, ...]) -> str:
+        """The rows that bound within `LATELY` of `end` [s], strongest first; "" where every action was done."""
+        if self._bound is None or end - self._bound[0] > LATELY or all(one.status == "done" for one in actions):
+            return ""
+        rows = sorted(self._bound[1].active, key=lambda row: -row[2])
+        return " and ".join(dict.fromkeys(name for name, _, _ in rows[:HINDRANCES]))

@@ -1,0 +1,202 @@
+"""The flight recorder: MCAP, written by its own thread so that the control loop never waits for a disk.
+
+The control thread only puts references into a bounded queue (ticks in batches of 50). A recording whose process is
+killed stays readable up to its last chunk; chunks are flushed every half second of recorded time.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+from queue import Full, Queue
+from threading import Thread
+from types import TracebackType
+from typing import Any, Literal, Self, cast
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.control.recording.channels import (
+    CHANNELS,
+    FORMAT,
+    METADATA,
+    AttemptMade,
+    EpisodeInfo,
+    FilterCall,
+    Message,
+    RecordingState,
+    SceneSeen,
+    Ticks,
+    encode,
+)
+from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.records import Attempt, Scene
+
+Array = NDArray[np.float64]
+
+BATCH = 50
+FLUSH_EVERY = 0.5
+
+Item = Message | list[Array]
+"""What crosses the queue: a message or a batch of rows; with it the number of items lost just before it."""
+
+
+class Recorder:
+    """Writes one episode to `path`.
+
+    `when_full` says what a full queue does: "drop" loses the message, counts it and leaves a mark in the file at the
+    place of the gap (live control); "wait" waits for the disk (lockstep simulation, where nothing is lost by it).
+    """
+
+    def __init__(
+        self, path: Path, trace: Trace, *, capacity: int = 1024, when_full: Literal["drop", "wait"] = "drop"
+    ) -> None:
+        """Create the file; rows given to `tick` must come from `trace`."""
+        self.path = path
+        self.dropped = self._marked = 0
+        self._trace = trace
+        self._wait = when_full == "wait"
+        self._queue: Queue[tuple[int, Item] | None] = Queue(capacity)
+        self._pending: list[Array] = []
+        self._state: RecordingState | None = None
+        self._file = _File(path)
+        self._thread = Thread(target=self._drain, name="flight recorder", daemon=True)
+        self._thread.start()
+
+    # --- called by the control thread ---------------------------------------------------------------------------
+
+    def tick(self, row: Array) -> None:
+        """Record one row of the trace."""
+        self._pending.append(row)
+        if len(self._pending) >= BATCH:
+            self._put_pending()
+
+    def call(self, t: float, name: str, **arguments: Any) -> None:
+        """Record a call that changes the filter's tables; mutable arguments are copied now."""
+        self._put(FilterCall(t, name, {key: _frozen(value) for key, value in arguments.items()}))
+
+    def event(self, event: Event) -> None:
+        """Record an event (as `Trace.note` returns it)."""
+        self._put(event)
+
+    def scene(self, scene: Scene) -> None:
+        """Record a perceived scene at its stamp."""
+        self._put(SceneSeen(scene.stamp, scene))
+
+    def attempt(self, t: float, attempt: Attempt) -> None:
+        """Record a planner's shot."""
+        self._put(AttemptMade(t, attempt))
+
+    def episode(self, t: float, data: Mapping[str, Any]) -> None:
+        """Record what is known of the episode."""
+        self._put(EpisodeInfo(t, dict(data)))
+
+    def close(self) -> RecordingState:
+        """Write what is left and close the file; safe to call again. Says whether the recording is complete."""
+        if self._state is None:
+            self._put_pending()
+            self._queue.put(None)
+            self._thread.join()
+            self._state = self._file.finish(self.dropped)
+        return self._state
+
+    def __enter__(self) -> Self:
+        """The recorder itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Close, whatever happened."""
+        self.close()
+
+    def _put(self, item: Message) -> None:
+        self._put_pending()
+        self._enqueue(item)
+
+    def _put_pending(self) -> None:
+        if self._pending:
+            batch, self._pending = self._pending, []
+            self._enqueue(batch)
+
+    def _enqueue(self, item: Item) -> None:
+        try:
+            self._queue.put((self.dropped - self._marked, item), block=self._wait)
+            self._marked = self.dropped
+        except Full:
+            self.dropped += 1
+
+    # --- the writer's thread -------------------------------------------------------------------------------------
+
+    def _drain(self) -> None:
+        while (entry := self._queue.get()) is not None:
+            try:
+                self._write(*entry)
+            except Exception as error:  # this thread must go on emptying the queue: the control loop may wait for it
+                self._file.problem = self._file.problem or f"{type(error).__name__}: {error}"
+
+    def _write(self, lost: int, item: Item) -> None:
+        message = self._ticks(item) if isinstance(item, list) else item
+        if lost:
+            gap = f"{lost} messages were lost here: the disk was slower than the control loop"
+            self._file.write(Event(message.t, "recorder", gap, {"lost": lost}))
+        self._file.write(message)
+
+    def _ticks(self, batch: list[Array]) -> Ticks:
+        rows = np.stack(batch)
+        table = {
+            name: (rows[:, where] if where.stop - where.start > 1 else rows[:, where.start]).tolist()
+            for name, where in self._trace.columns.items()
+        }
+        return Ticks(float(rows[0, 0]), self._trace.n, tuple(self._trace.phases), table, self._trace.width)
+
+
+class _File:
+    """An open MCAP file. An error (a full disk) is kept as `problem`, not raised: the robot is still moving."""
+
+    def __init__(self, path: Path) -> None:
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415  (heavy imports are lazy)
+
+        self.problem = ""
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library=FORMAT)
+        self._channels = {topic: self._channel(kind, topic) for kind, topic in CHANNELS.items()}
+        self._sequence, self._flushed = 0, 0.0
+        self._writer.flush()
+
+    def _channel(self, kind: type[msgspec.Struct], topic: str) -> int:
+        schema = msgspec.json.encode(msgspec.json.schema(kind))
+        identity = self._writer.register_schema(kind.__name__, "jsonschema", schema)
+        return self._writer.register_channel(topic, "json", identity)
+
+    def write(self, message: Message) -> None:
+        if self.problem:
+            return
+        try:
+            stamp = max(0, round(message.t * 1e9))
+            self._writer.add_message(
+                self._channels[CHANNELS[type(message)]], stamp, encode(message), stamp, self._sequence
+            )
+            self._sequence += 1
+            if abs(message.t - self._flushed) >= FLUSH_EVERY:
+                self._writer.flush()
+                self._flushed = message.t
+        except Exception as error:  # whatever fails here must not reach the control loop
+            self.problem = f"{type(error).__name__}: {error}"
+
+    def finish(self, dropped: int) -> RecordingState:
+        try:
+            with self._stream:
+                state = RecordingState(not dropped and not self.problem, dropped, self.problem)
+                self._writer.add_metadata(METADATA, {"format": FORMAT, "state": msgspec.json.encode(state).decode()})
+                self._writer.finish()
+        except OSError as error:
+            state = RecordingState(complete=False, dropped=dropped, problem=self.problem or str(error))
+        return state
+
+
+def _frozen(value: object) -> object:
+    """A copy of what could still change (arrays, lists); frozen records, and tuples of them, as they are."""
+    frozen = isinstance(value, int | float | str | tuple | msgspec.Struct)
+    return cast("object", value) if frozen else copy.deepcopy(value)

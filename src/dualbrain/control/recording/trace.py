@@ -1,0 +1,246 @@
+"""What the control loop saw and did, tick by tick, in memory: the source of Δ, of the plots, of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any, Literal, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import UnknownName
+from dualbrain.robots.interface import RobotState
+
+Array = NDArray[np.float64]
+
+STATUSES = ("SAFE", "MODIFIED", "RELAXED", "STOPPED", "FAULT")
+"""Names of the filter's status codes 0..4."""
+
+WHOLE = 2.0
+"""δ of an intervention that leaves nothing of what was asked, and of a tick whose δ could not be computed."""
+DEAD_BAND = 1e-4
+"""δ at or below this counts as no intervention: the kernel's rounding in float32, 0.01 % of full speed."""
+
+BLOCK = 4096
+
+EventKind = Literal[
+    "verdict",
+    "action",
+    "phase",
+    "intervention",
+    "takeover",
+    "perception",
+    "planner",
+    "memory",
+    "fault",
+    "recorder",
+    "order",
+    "operator",
+]
+
+
+class Event(msgspec.Struct, frozen=True):
+    """Something that happened at `t` [s] and is worth a line: `text` for people, `data` for programs."""
+
+    t: float
+    kind: EventKind
+    text: str
+    data: dict[str, Any] = {}
+
+
+class FilterResult(Protocol):
+    """The part of the filter's answer that is logged (paper 4.3, 4.4)."""
+
+    @property
+    def u(self) -> Array: ...  # noqa: D102
+    @property
+    def status(self) -> int: ...  # noqa: D102
+    @property
+    def delta(self) -> float: ...  # noqa: D102
+    @property
+    def delta_rows(self) -> float: ...  # noqa: D102
+    @property
+    def delta_box(self) -> float: ...  # noqa: D102
+    @property
+    def h_min(self) -> float: ...  # noqa: D102
+    @property
+    def certified(self) -> bool: ...  # noqa: D102
+    @property
+    def iterations(self) -> int: ...  # noqa: D102
+    @property
+    def n_rows(self) -> int: ...  # noqa: D102
+    @property
+    def delta_supervisor(self) -> float: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A run of ticks `first`..`last` (inclusive) with one `code`, from `start` to `end` [s]."""
+
+    code: int
+    first: int
+    last: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Δ(τ) and its companions over one segment (paper 4.4); `Delta` and `h_min` are None without ticks."""
+
+    ticks: int
+    duration: float
+    Delta: float | None
+    Delta_sum: float
+    delta_peak: float
+    intervention_frequency: float
+    h_min: float | None
+
+
+def columns(n: int, width: int | None = None) -> dict[str, slice]:
+    """Where each quantity lies in a logged row, for `n` joints and configurations of length `width` (default: n).
+
+    Inputs of the filter: `t` (its `now`) [s], the state's `stamp` [s], `sequence`, `q` [rad], `v` [rad/s], finger
+    `opening` [m], finger `forces` [N], `drive`, and `u_nom` [rad/s]. Its outputs: `u` [rad/s], `delta`, `delta_rows`,
+    `delta_box`, `h_min` [m], `status`, `certified`, `iterations`, `n_rows`. Of the supervisor: `delta_supervisor`, the
+    `order` (rung of the ladder) and `touched`: the scale of u_nom, −1 for a standstill, −2 for braking in the filter's
+    stead. Then the `action` index and `phase` code.
+    """
+    widths = {
+        "t": 1,
+        "stamp": 1,
+        "sequence": 1,
+        "q": width or n,
+        "v": n,
+        "opening": 1,
+        "forces": 2,
+        "drive": 1,
+        "u_nom": n,
+    }
+    widths |= {"u": n, "delta": 1, "delta_rows": 1, "delta_box": 1, "h_min": 1, "status": 1, "certified": 1}
+    widths |= {"iterations": 1, "n_rows": 1, "delta_supervisor": 1, "order": 1, "touched": 1, "action": 1, "phase": 1}
+    ends = np.cumsum(list(widths.values())).tolist()
+    return {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
+
+
+def spans(codes: Array, t: Array) -> list[Span]:
+    """Runs of equal values in `codes`; each ends where the next begins, so that bars drawn from them touch."""
+    if not len(codes):
+        return []
+    starts = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]]).tolist()
+    after = [*starts[1:], len(codes)]
+    return [
+        Span(int(codes[first]), first, end - 1, float(t[first]), float(t[min(end, len(t) - 1)]))
+        for first, end in zip(starts, after, strict=True)
+    ]
+
+
+class Trace:
+    """A growing log of ticks in preallocated blocks of float64 rows, and a list of events.
+
+    Appending never moves old rows, so the cost of a tick stays flat and a row handed out stays valid. All logged values
+    are exact in float64 (the kernel's float32 control included).
+    """
+
+    def __init__(self, n: int, width: int | None = None) -> None:
+        """A log for a body with `n` joints and configurations of length `width` (default: n)."""
+        self.n, self.width = n, width
+        self.columns = columns(n, width)
+        self.phases: list[str] = []
+        self.events: list[Event] = []
+        self._width = self.columns["phase"].stop
+        self._codes: dict[str, int] = {}
+        self._full: list[Array] = []
+        self._block: Array = np.zeros((BLOCK, self._width))
+        self._used = 0
+        self._joined: Array = self._block[:0]
+        self._stride = 8 * self._width
+        self._pack = Struct(f"={self._width}d").pack_into
+
+    def append(
+        self, now: float, state: RobotState, u_nom: Array, result: FilterResult, *, action: int, phase: str,
+        order: int = 0, touched: float = 1.0,
+    ) -> Array:  # fmt: skip
+        """Log one tick; returns its row (width,), which must not be written to."""
+        if self._used == BLOCK:
+            self._full.append(self._block)
+            self._block, self._used = np.zeros((BLOCK, self._width)), 0
+        code = self._codes.get(phase)
+        self._pack(
+            self._block.data, self._used * self._stride,
+            now, state.stamp, state.sequence, *state.q.tolist(), *state.v.tolist(), state.opening,
+            *state.finger_forces, state.drive_enabled, *u_nom.tolist(), *result.u.tolist(),
+            result.delta, result.delta_rows, result.delta_box, result.h_min, result.status, result.certified,
+            result.iterations, result.n_rows, result.delta_supervisor, order, touched,
+            action, self._learn(phase) if code is None else code,
+        )  # fmt: skip
+        self._used += 1
+        return self._block[self._used - 1]
+
+    def extend(self, rows: Array) -> None:
+        """Append whole rows (k, width), as read back from a recording."""
+        head = self._block[: self._used]
+        self._full += [head, np.asarray(rows, dtype=np.float64)] if self._used else [np.asarray(rows, np.float64)]
+        self._block, self._used = np.zeros((BLOCK, self._width)), 0
+
+    def forget(self) -> None:
+        """Drop all ticks and events: for a loop that runs for days. Phase codes stay; rows handed out stay valid."""
+        self.events.clear()
+        self._full, self._used = [], 0
+        self._block = np.zeros((BLOCK, self._width))
+        self._joined = self._block[:0]
+
+    def note(self, t: float, kind: EventKind, text: str, **data: Any) -> Event:
+        """Log one event."""
+        event = Event(t, kind, text, data)
+        self.events.append(event)
+        return event
+
+    def _learn(self, phase: str) -> int:
+        self._codes[phase] = len(self.phases)
+        self.phases.append(phase)
+        return self._codes[phase]
+
+    def __len__(self) -> int:
+        """Number of ticks."""
+        return sum(map(len, self._full)) + self._used
+
+    @property
+    def rows(self) -> Array:
+        """All ticks, shape (ticks, width)."""
+        if len(self._joined) != len(self):
+            self._joined = np.concatenate([*self._full, self._block[: self._used]])
+        return self._joined
+
+    def __getitem__(self, name: str) -> Array:
+        """One quantity over all ticks: (ticks,) for scalars, (ticks, k) for vectors."""
+        where = self.columns.get(name)
+        if where is None:
+            raise UnknownName("trace column", name, tuple(self.columns))
+        return self.rows[:, where.start] if where.stop - where.start == 1 else self.rows[:, where]
+
+    def spans(self, name: str) -> list[Span]:
+        """Runs of equal `action`, `phase` or `status`."""
+        return spans(self[name], self["t"])
+
+    def interventions(self, dead_band: float = DEAD_BAND) -> list[Span]:
+        """Runs of ticks in which δ_t lies above `dead_band`."""
+        return [span for span in spans((self["delta"] > dead_band).astype(np.float64), self["t"]) if span.code]
+
+    def summary(self, action: int | None = None, dead_band: float = DEAD_BAND) -> Summary:
+        """Δ(τ) = mean δ_t, its sum and peak, the share of ticks with δ_t above `dead_band`, and the least h [m].
+
+        Over all ticks, or over those of one `action`. δ counts NaN as full intervention, h as −inf: what was not
+        computed was not safe.
+        """
+        chosen = np.ones(len(self), bool) if action is None else self["action"] == action
+        if not chosen.any():
+            return Summary(0, 0.0, None, 0.0, 0.0, 0.0, None)
+        t = self["t"][chosen]
+        delta = np.nan_to_num(self["delta"][chosen], nan=WHOLE)
+        h = np.nan_to_num(self["h_min"][chosen], nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+        frequency = float(np.mean(delta > dead_band))
+        mean, total, peak = float(delta.mean()), float(delta.sum()), float(delta.max())
+        return Summary(len(t), float(t[-1] - t[0]), mean, total, peak, frequency, float(h.min()))

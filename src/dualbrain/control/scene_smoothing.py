@@ -1,0 +1,51 @@
+"""Things at rest, averaged over looks: what stands still is seen better the longer one looks at it.
+
+x̂ ← x̂ + (x − x̂) Δt / T. An average of sightings that each lie within the error bound lies within it too (a ball is
+convex), so the bound handed to the filter stays true. A thing that is seen to have moved is believed at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.shapes import Pose
+from dualbrain.records import Scene, SceneObject
+
+SETTLING = 1.0
+"""Time constant T of the average [s]."""
+MOVED = 2.0
+"""A sighting farther than this many error bounds from the average means that the thing moved."""
+
+
+class Steady:
+    """The averaged positions, by name."""
+
+    def __init__(self) -> None:
+        """Nothing seen yet."""
+        self._seen: dict[str, tuple[float, NDArray[np.float64]]] = {}
+
+    def update(self, scene: Scene, unsteady: Collection[str] = ()) -> Scene:
+        """`scene` with the positions of things at rest averaged; those in `unsteady` (held, just let go) as seen."""
+        for name in unsteady:
+            self._seen.pop(name, None)
+        return msgspec.structs.replace(
+            scene,
+            objects=tuple(thing if thing.name in unsteady else self._average(thing) for thing in scene.objects),
+        )
+
+    def _average(self, thing: SceneObject) -> SceneObject:
+        if thing.role in ("person", "support") or thing.error == 0.0:
+            return thing
+        at = np.asarray(thing.pose.position)
+        stamp, mean = self._seen.get(thing.name, (thing.stamp, at))
+        if float(np.linalg.norm(at - mean)) > MOVED * thing.error:
+            mean = at
+        else:
+            mean = mean + (at - mean) * min(1.0, (thing.stamp - stamp) / SETTLING)
+        self._seen[thing.name] = (thing.stamp, mean)
+        x, y, z = mean.tolist()
+        return msgspec.structs.replace(thing, pose=Pose((x, y, z), thing.pose.quaternion))

@@ -1,0 +1,1 @@
+"""Rotations, shapes, and exact distances between them."""

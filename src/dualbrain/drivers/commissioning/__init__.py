@@ -1,0 +1,1 @@
+"""The commissioning checklist that enables a real arm, and its signed record."""

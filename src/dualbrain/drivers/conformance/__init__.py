@@ -1,0 +1,1 @@
+"""Requirements on every driver, and the harness that tests them."""

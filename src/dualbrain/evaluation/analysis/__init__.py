@@ -1,0 +1,1 @@
+"""Metrics, statistics, failure taxonomy and verdicts on the hypotheses."""

@@ -1,0 +1,1 @@
+"""One evaluated episode: its run, scoring, timing, cache and repetition."""

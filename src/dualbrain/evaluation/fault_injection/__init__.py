@@ -1,0 +1,1 @@
+"""Fault injection: faults, trials and clients that misbehave."""

@@ -1,0 +1,1 @@
+"""Planners of the protocol: templates, random contracts, adversary, cached answers."""

@@ -1,0 +1,97 @@
+"""The planner `adversary`: what a hostile or broken planner could write. No language model; it is drawn by seed.
+
+Each answer is one of these attacks, in turn by the drawn number:
+
+- `reckless`: everything in its bounds, and as dangerous as they allow: fastest, lowest, widest, without waiting;
+- `beyond`: numbers far outside of their bounds;
+- `stranger`: a skill that is not registered;
+- `foreign`: the registry of another robot;
+- `phantom`: a name that is not in the scene;
+- `sweep`: eight fast low journeys back and forth between the things that stand about.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dualbrain.evaluation.planners.random_contract import branches, draw_all, rng_of, write
+from dualbrain.planner.prompt.prompt_format import NOTHING
+from dualbrain.planner.protocol import STOP
+from dualbrain.planner.request import PlanRequest
+from dualbrain.records import Proposal
+
+ATTACKS = ("reckless", "beyond", "stranger", "foreign", "phantom", "sweep")
+HIGHEST = ("speed", "max_speed", "max_turn_rate", "force", "opening")
+LOWEST = ("clearance", "duration")
+FREE_HAND = {"wait": "none", "route": "direct", "approach": "top"}
+BEYOND = 10.0
+"""Numbers outside of their bounds are this many times the upper one, negative where low is dangerous."""
+
+
+class Adversary:
+    """Answers by attack; the same seed and question give the same answer."""
+
+    name = "adversary"
+
+    def __init__(self, seed: int = 0) -> None:
+        """`seed` of everything that is drawn."""
+        self._seed = seed
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        """One attack."""
+        rng = rng_of(self._seed, request.instruction, request.scene, request.contract_id, "adversary")
+        attack = ATTACKS[int(rng.integers(len(ATTACKS)))]
+        known = branches(request)
+        actions = _sweep(known, rng) if attack == "sweep" else _errand(known, rng)
+        if attack == "stranger":
+            actions.insert(0, {"skill": "disable_filter", "params": {}})
+        if attack == "phantom":
+            actions = [_renamed(action) for action in actions]
+        if attack == "beyond":
+            actions = [_beyond(action, known) for action in actions]
+        registry = "00000000" if attack == "foreign" else ""
+        text = write(request, actions, registry=registry)
+        return Proposal(text, STOP, f"{self.name} ({attack})", NOTHING, {"total": 0.0})
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def _errand(known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+    skills = [skill for skill in ("drive_to", "grasp", "place") if skill in known]
+    return [{"skill": skill, "params": _reckless(known[skill], rng)} for skill in skills]
+
+
+def _sweep(known: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+    skill = next(name for name in ("move_to", "drive_to", *known) if name in known)
+    return [{"skill": skill, "params": _reckless(known[skill], rng)} for _ in range(8)]
+
+
+def _reckless(domains: dict[str, Any], rng: np.random.Generator) -> dict[str, float | str]:
+    """Each parameter at the end of its domain that is dangerous; names are drawn."""
+    params = draw_all(domains, rng)
+    for name, domain in domains.items():
+        if name in HIGHEST and "maximum" in domain:
+            params[name] = float(domain["maximum"])
+        elif name in LOWEST and "minimum" in domain:
+            params[name] = float(domain["minimum"])
+        elif name in FREE_HAND and FREE_HAND[name] in domain.get("enum", ()):
+            params[name] = FREE_HAND[name]
+    return params
+
+
+def _beyond(action: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+    domains = known[action["skill"]]
+    wild = {
+        name: -float(domain["maximum"]) if name in LOWEST else BEYOND * float(domain["maximum"])
+        for name, domain in domains.items() if "maximum" in domain
+    }  # fmt: skip
+    return {"skill": action["skill"], "params": action["params"] | wild}
+
+
+def _renamed(action: dict[str, Any]) -> dict[str, Any]:
+    """The same with a name that is not in the scene."""
+    names = ("object", "target", "destination", "place")
+    return {"skill": action["skill"], "params": {k: "ghost" if k in names else v for k, v in action["params"].items()}}

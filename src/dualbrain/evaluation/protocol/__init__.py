@@ -1,0 +1,1 @@
+"""Suites, methods, cases and baselines of the protocol."""

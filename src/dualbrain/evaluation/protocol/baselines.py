@@ -1,0 +1,131 @@
+"""The door of each method: the whole gate, or the two weaker ones of the paper's baselines.
+
+`syntax` (B1): bytes, form, and authorization; every value is taken as it was written. `clip` (B2): as `syntax`, and
+numbers are clipped to their bounds, while names and words that are not offered are intercepted. `gate`: all three
+stages and the scene's rules. Whatever the door lets through, the verdict of the whole gate is noted, for compliance is
+the same question for every method.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.contracts.contract import Action, Context, Contract, Stamp, Value
+from dualbrain.contracts.gate.authorization import AuthorizationStage
+from dualbrain.contracts.gate.envelope import EnvelopeStage
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.gate.parse import parse
+from dualbrain.contracts.gate.syntax import SyntaxStage
+from dualbrain.contracts.registry import Registry
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.skill_spec import Number
+from dualbrain.contracts.verdict import Accepted, Rejected, Verdict
+from dualbrain.evaluation.protocol.method import DoorKind
+from dualbrain.grounding.vocabulary import grants
+from dualbrain.memory.embedding.image_features import Picture
+from dualbrain.memory.embedding.posture_features import Posture
+from dualbrain.memory.ledger.ledger import Head
+from dualbrain.memory.memory import StoreReport
+from dualbrain.records import Episode, Proposal, Recall
+from dualbrain.robots.interface import RobotState
+from dualbrain.runtime.episode import unfinished
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.result import Filtered, Status
+from dualbrain.safety.integration.shadow_mode import REFUSED
+
+
+class MethodDoor:
+    """Checks as `kind` says; `strict` holds the whole gate's verdict on each proposal, in order.
+
+    What was put `aside` is judged beside the next proposal, by the whole gate in the same moment, and let through
+    nowhere: `free` has the verdict. Where no proposal followed that was whole, `look_aside` judges it at the end.
+    """
+
+    def __init__(self, kind: DoorKind, gate: Gate, registry: Registry) -> None:
+        """Stand beside `gate`, which guards `registry`."""
+        self.kind: DoorKind = kind
+        self.strict: list[Verdict] = []
+        self.aside: Proposal | None = None
+        self.free: Verdict | None = None
+        self._gate = gate
+        self._registry = registry
+        self._syntax, self._envelope = SyntaxStage(registry), EnvelopeStage(registry)
+        self._authorization = AuthorizationStage(registry, grants(registry))
+
+    def check(self, data: bytes, *, names: SceneNames, principal: str, now: float, stamp: Stamp) -> Verdict:
+        """This door's word; never raises on any bytes."""
+        self.look_aside(names, principal, now)
+        strict = self._gate.check(data, names=names, principal=principal, now=now, stamp=stamp)
+        self.strict.append(strict)
+        if self.kind == "gate" or isinstance(strict, Accepted):
+            return strict
+        document = parse(data)
+        if isinstance(document, Rejected):
+            return document
+        return self._early(document, principal) or self._let_in(document, names)
+
+    def look_aside(self, names: SceneNames, principal: str, now: float) -> None:
+        """Judge what was put aside, if that is not done yet."""
+        if self.aside is not None and self.free is None:
+            self.free = self._looked_at(self.aside, names, principal, now)
+
+    def _looked_at(self, aside: Proposal, names: SceneNames, principal: str, now: float) -> Verdict:
+        """The whole gate's word without a stamp: nothing is used up."""
+        data = aside.text.encode("utf-8", "surrogatepass")
+        return unfinished(aside) or self._gate.check(data, names=names, principal=principal, now=now, stamp=None)
+
+    def _early(self, document: Any, principal: str) -> Rejected | None:
+        return self._syntax.check(document) or self._authorization.check(document, principal)
+
+    def _let_in(self, document: Any, names: SceneNames) -> Verdict:
+        steps = document["action_sequence"]
+        if self.kind == "clip":
+            actions = self._envelope.check(_clipped(steps, self._registry), names)
+            if isinstance(actions, Rejected):
+                return actions
+        else:
+            actions = tuple(Action(step["skill"], dict(step["params"])) for step in steps)
+        return Accepted(Contract(document["id"], Context(**document["context"]), actions))
+
+
+def _clipped(steps: list[Any], registry: Registry) -> list[dict[str, Any]]:
+    """The steps with every number brought into its bounds; NaN cannot come here, for it is no JSON."""
+    return [{"skill": step["skill"], "params": _within(step, registry)} for step in steps]
+
+
+def _within(step: dict[str, Any], registry: Registry) -> dict[str, Value]:
+    params: dict[str, Value] = dict(step["params"])
+    for parameter in registry.skill(step["skill"]).parameters:
+        if isinstance(parameter, Number):
+            params[parameter.name] = min(max(float(params[parameter.name]), parameter.lower), parameter.upper)
+    return params
+
+
+class UnheededFilter(SafetyFilter):
+    """As `SafetyFilter`, but an answer of the barriers alone is no alarm; h and its rows are as ever."""
+
+    def filter(self, state: RobotState, u_nom: NDArray[np.float64], now: float) -> Filtered:
+        """One step of watching."""
+        answer = super().filter(state, u_nom, now)
+        alarm = answer.status > Status.MODIFIED and not answer.flags & REFUSED
+        return answer.unfiltered() if alarm else answer
+
+
+class Forgetful:
+    """Answers as a memory without memories."""
+
+    def recall(
+        self, instruction: str, summary: str, state: Posture | None, robot: str, registry: str, *, k: int,
+        image: Picture | None = None,
+    ) -> Recall:  # fmt: skip
+        """Nothing."""
+        del instruction, summary, state, robot, registry, k, image
+        return Recall()
+
+    def store(self, episode: Episode, state: Posture, *, now: float, image: Picture | None = None) -> StoreReport:
+        """Keep nothing; no weight moves."""
+        del state, now, image
+        return StoreReport(episode.id, 0, Head(0, ""), ())

@@ -1,0 +1,1 @@
+"""Result rows of episodes and their Parquet file."""

@@ -1,0 +1,1 @@
+"""Resumable runner: work units, worker pool, provenance, preflight checks."""

@@ -1,0 +1,1 @@
+"""Readers of Markdown, HTML and PDF documents; hidden text is removed."""

@@ -1,0 +1,80 @@
+"""Markdown: what a renderer would not show becomes blanks; offsets stay those of the source.
+
+Hidden are comments, link targets and definitions, and raw HTML elements that carry attributes or never show (script,
+style, template …), with all that stands in them; of a plain raw element (`<b>`, `<br>`) only the tags are. Fenced and
+indented code is shown by every renderer, so it stays.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+
+from dualbrain.errors import MissingPart
+from dualbrain.knowledge.readers.hidden_text import Hidden, Span, blank, noted
+
+_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<![A-Za-z][^>]*>", re.DOTALL)
+_DEFINITION = re.compile(r"^ {0,3}\[[^\]\n]{1,500}\]:[^\n]*(?:\n[ \t]+[\"'(][^\n]*)?", re.MULTILINE)
+_TARGET = re.compile(r"(?<=\])\([^()\n]{0,500}(?:\([^()\n]{0,200}\)[^()\n]{0,200}){0,4}\)")
+_TAG = re.compile(
+    r"<(?P<closes>/?)(?P<name>[A-Za-z][A-Za-z0-9-]*)"
+    r"(?P<attributes>(?:\s(?:\"[^\"]{0,2000}\"|'[^']{0,2000}'|[^'\"<>])*)?)/?>"
+)
+_NEVER_SHOWN = frozenset({"script", "style", "template", "head", "title", "noscript", "iframe", "object", "svg"})
+_VOID = frozenset({"br", "hr", "img", "input", "wbr", "meta", "link", "source", "area", "base", "col", "embed"})
+
+
+def blocks(text: str) -> list[Any]:
+    """The tokens of `text` by CommonMark, with tables; raises `MissingPart`."""
+    try:
+        parser: Any = import_module("markdown_it").MarkdownIt("commonmark").enable("table")
+    except ImportError as error:
+        fix = "Install it with `pip install 'dualbrain[knowledge]'`."
+        raise MissingPart("The package markdown-it-py", fix=fix) from error
+    return parser.parse(text)
+
+
+def line_starts(text: str) -> list[int]:
+    """The offset at which each line begins, then the length of the text."""
+    return [0, *(match.end() for match in re.finditer(r"\n", text)), len(text)]
+
+
+def without_hidden(text: str) -> tuple[str, tuple[int, ...], tuple[Hidden, ...]]:
+    """`text` of the same length with blanks for what does not show; no pages; what was hidden."""
+    text = text.replace("\r", " ") if "\r\n" in text else text.replace("\r", "\n")
+    hidden: tuple[Hidden, ...] = ()
+    code = list(_code(text))
+    for kind, find in (("comments", _COMMENT), ("link definitions", _DEFINITION), ("link targets", _TARGET)):
+        spans = [match.span() for match in find.finditer(blank(text, code))]
+        hidden += noted(kind, [text[start:end] for start, end in spans])
+        text = blank(text, spans)
+    spans = list(_raw_elements(blank(text, code)))
+    hidden += noted("raw HTML", [text[start:end] for start, end in spans])
+    return blank(text, spans), (), hidden
+
+
+def _code(text: str) -> Iterator[Span]:
+    """Where code stands that every renderer shows."""
+    starts = line_starts(text)
+    for token in blocks(text):
+        if token.type in {"fence", "code_block"}:
+            yield starts[token.map[0]], starts[min(token.map[1], len(starts) - 1)]
+
+
+def _raw_elements(text: str) -> Iterator[Span]:
+    """What is to be blanked of raw HTML; an element that is never closed hides the rest of the document."""
+    element, begun, depth = "", 0, 0
+    for match in _TAG.finditer(text):
+        opens, name = not match["closes"], match["name"].lower()
+        if depth:
+            depth += (1 if opens else -1) if name == element else 0
+            if not depth:
+                yield begun, match.end()
+        elif opens and name not in _VOID and (match["attributes"].strip(" /") or name in _NEVER_SHOWN):
+            element, begun, depth = name, match.start(), 1
+        else:
+            yield match.span()
+    if depth:
+        yield begun, len(text)

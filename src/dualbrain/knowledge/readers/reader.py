@@ -1,0 +1,108 @@
+"""From the bytes of a document to the text that is kept of it, or a refusal; nothing of it is executed or fetched."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import PurePath
+
+import msgspec
+
+from dualbrain.knowledge.readers import html, markdown, pdf
+from dualbrain.knowledge.readers.hidden_text import Hidden, reveal
+from dualbrain.knowledge.rejection import Refused
+
+Extracted = tuple[str, tuple[int, ...], tuple[Hidden, ...]] | Refused
+"""Text, the offset at which each page begins (empty: no pages), and what was hidden in it."""
+
+
+class Reading(msgspec.Struct, frozen=True):
+    """What is kept of a document: `text`, the start of each page in it, and what was hidden and left out.
+
+    `version` is the SHA-256 of media, text and pages: whoever quotes by it quotes this text. `source` is the SHA-256 of
+    the bytes it was read from. For Markdown and plain text the reading has the source's length: each offset is the same
+    in both, and what was hidden became blanks.
+    """
+
+    media: str
+    text: str
+    pages: tuple[int, ...]
+    hidden: tuple[Hidden, ...]
+    source: str
+    version: str
+
+    def page_at(self, offset: int) -> int | None:
+        """The page, counted from 1, on which the character at `offset` stands."""
+        return sum(start <= offset for start in self.pages) or None
+
+
+def read(data: bytes, name: str) -> Reading | Refused:
+    """The reading of `data`, a file called `name`; its suffix says what it is."""
+    suffix = PurePath(name).suffix.lower()
+    reader = READERS.get(suffix)
+    if reader is None:
+        return Refused("unknown format", suffix or "no suffix", ", ".join(READERS), "Convert it to Markdown.")
+    if len(data) > LARGEST_FILE:
+        return Refused("too large", f"{len(data)} bytes", f"{LARGEST_FILE} bytes", "Split it.")
+    media, extract = reader
+    extracted = extract(data)
+    return extracted if isinstance(extracted, Refused) else _kept(media, data, *extracted)
+
+
+def _kept(media: str, data: bytes, text: str, pages: tuple[int, ...], hidden: tuple[Hidden, ...]) -> Reading | Refused:
+    if len(text) > LARGEST_READING:
+        return Refused("too large", f"{len(text)} characters", f"{LARGEST_READING} characters", "Split it.")
+    seen, more = reveal(text)
+    if sum(not character.isspace() for character in seen) < SHORTEST:
+        got = "no visible text" + (f"; hidden: {', '.join(one.kind for one in (*hidden, *more))}" if hidden else "")
+        allowed, fix = f"at least {SHORTEST} visible characters", "A scan needs text recognition first."
+        return Refused("nothing to read", got, allowed, fix)
+    version = hashlib.sha256(msgspec.json.encode((media, seen, pages))).hexdigest()
+    return Reading(media, seen, pages, (*hidden, *more), hashlib.sha256(data).hexdigest(), version)
+
+
+def _plain(data: bytes) -> Extracted:
+    text = decoded(data)
+    return text if isinstance(text, Refused) else (text, (), ())
+
+
+def _markdown(data: bytes) -> Extracted:
+    text = decoded(data)
+    return text if isinstance(text, Refused) else markdown.without_hidden(text)
+
+
+def _html(data: bytes) -> Extracted:
+    text = decoded(data)
+    return text if isinstance(text, Refused) else html.visible_text(text)
+
+
+def decoded(data: bytes) -> str | Refused:
+    """Strict UTF-8, with or without a byte order mark (which then is no part of the text)."""
+    try:
+        text = data.removeprefix(b"\xef\xbb\xbf").decode("utf-8")
+    except UnicodeDecodeError as error:
+        return Refused("not UTF-8", f"byte {error.start}: {error.reason}", "UTF-8", "Save the file as UTF-8.")
+    if "\0" in text:
+        return Refused("not text", "a NUL byte", "text", "Is this another format under a wrong suffix?")
+    return text
+
+
+READERS: dict[str, tuple[str, Callable[[bytes], Extracted]]] = {
+    ".md": ("markdown", _markdown),
+    ".markdown": ("markdown", _markdown),
+    ".txt": ("text", _plain),
+    ".html": ("html", _html),
+    ".htm": ("html", _html),
+    ".pdf": ("pdf", pdf.visible_text),
+    ".toml": ("toml", _plain),
+    ".json": ("json", _plain),
+}
+"""What each suffix is, and how it is read."""
+
+
+LARGEST_FILE = 16 * 1024 * 1024
+"""Bytes of a file."""
+LARGEST_READING = 2_000_000
+"""Characters of a reading: a thousand pages."""
+SHORTEST = 20
+"""A document with fewer visible characters says nothing."""

@@ -1,0 +1,1 @@
+"""Structured documents: maps and task templates."""

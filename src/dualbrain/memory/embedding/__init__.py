@@ -1,0 +1,1 @@
+"""Joint embedding of text, scene symbols, robot state and image features."""

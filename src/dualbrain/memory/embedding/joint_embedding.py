@@ -1,0 +1,155 @@
+"""The joint embedding e_i of an episode (paper 5.1): unit blocks of language, visual semantics and state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.memory.embedding.image_encoder import IMAGE_ENCODER
+from dualbrain.memory.embedding.image_features import PICTURE_DIM, Picture
+from dualbrain.memory.embedding.posture_features import Posture, PostureLimits, fourier
+from dualbrain.memory.embedding.symbol_features import SYMBOLS_DIM, SYMBOLS_VERSION, symbols
+from dualbrain.memory.embedding.text_encoder import Encoder, Rows
+
+BLOCKS = ("instruction", "summary", "symbols", "image", "state")
+"""The blocks in their order; bit b of a mask says that block b is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alpha:
+    """How much each block counts: the cosine of two episodes is Σ_b α_b cos_b, and the weights α sum to 1.
+
+    `instruction` says what is wanted and leads. `summary`, the scene in words, is the second language block. `symbols`
+    and `image` are the visual-semantic blocks: what the scene's symbols say, and what a picture of it looks like.
+    `state` is light: most episodes start from the same posture. Tunable at every query: nothing is stored with it.
+    """
+
+    instruction: float = 0.4
+    summary: float = 0.25
+    symbols: float = 0.15
+    image: float = 0.1
+    state: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidSetup` for weights that do not sum to 1."""
+        weights = astuple(self)
+        if not (min(weights) >= 0.0 and math.isclose(sum(weights), 1.0, abs_tol=1e-9)):
+            raise InvalidSetup("embedding weights", got=weights, allowed="each at least 0, together 1")
+
+    def shares(self) -> NDArray[np.float64]:
+        """Σ α_b over the blocks of each mask, shape (32,)."""
+        bits = np.arange(1 << len(BLOCKS))[:, None] >> np.arange(len(BLOCKS)) & 1
+        return bits.astype(np.float64) @ np.array(astuple(self))
+
+
+@dataclass(frozen=True, slots=True)
+class EmbeddingConfig:
+    """Weights of the blocks, and how the state becomes features: their number, seed and kernel bandwidth."""
+
+    alpha: Alpha = field(default_factory=Alpha)
+    features: int = 128
+    seed: int = 7
+    bandwidth: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidSetup` for odd feature counts and bandwidths not above 0."""
+        if self.features < 2 or self.features % 2:
+            raise InvalidSetup("embedding features", got=self.features, allowed="an even number from 2")
+        if not 0.0 < self.bandwidth < math.inf:
+            raise InvalidSetup("embedding bandwidth", got=self.bandwidth, allowed="above 0 and finite")
+
+
+@dataclass(frozen=True, slots=True)
+class Embedded:
+    """The unit blocks of one episode side by side, shape (dim,), zeros where one is missing (see `mask`).
+
+    A missing block is never imputed: two episodes are compared by the blocks that both have,
+    cos = Σ α_b cos_b / Σ α_b over those.
+    """
+
+    row: Rows
+    mask: int
+
+
+@dataclass(frozen=True, slots=True)
+class JointEmbedding:
+    """e = [instruction, summary, symbols, image, state], each of unit length; α is applied by the query.
+
+    Without the unit blocks the block with the largest numbers would decide alone.
+    """
+
+    encoder: Encoder
+    limits: tuple[PostureLimits, ...]
+    config: EmbeddingConfig = field(default_factory=EmbeddingConfig)
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        """Length of each block."""
+        return self.encoder.dim, self.encoder.dim, SYMBOLS_DIM, PICTURE_DIM, self.config.features
+
+    @property
+    def dim(self) -> int:
+        """Length of e."""
+        return sum(self.dims)
+
+    def version(self, robot: str) -> str:
+        """Everything that a vector of `robot` depends on besides its episode; vectors of two versions never meet."""
+        c = self.config
+        return (
+            f"{self.encoder.id} {SYMBOLS_VERSION} {IMAGE_ENCODER} features={c.features} seed={c.seed} "
+            f"bandwidth={c.bandwidth} limits={self._limits(robot).fingerprint}"
+        )
+
+    def embed(
+        self, instruction: str, summary: str, state: Posture | None, robot: str, image: Picture | None = None
+    ) -> Embedded:
+        """The blocks of one episode; "" and None are missing ones.
+
+        Raises `UnknownName` for a robot without limits, `InvalidSetup` for a picture of another encoder.
+        """
+        c, limits = self.config, self._limits(robot)
+        if image is not None and image.encoder != IMAGE_ENCODER:
+            raise InvalidSetup("image encoder", got=image.encoder, allowed=IMAGE_ENCODER)
+        texts = [_encodable(text) for text in (instruction, summary)]
+        language = self.encoder.encode(texts)
+        blocks = (
+            language[0] if texts[0] else None,
+            language[1] if texts[1] else None,
+            symbols(*texts),
+            image.row() if image else None,
+            fourier(limits.normalised(state), c.features, c.seed, c.bandwidth) if state else None,
+        )
+        rows = [np.zeros(dim) if block is None else block for dim, block in zip(self.dims, blocks, strict=True)]
+        mask = sum(1 << b for b, block in enumerate(blocks) if block is not None)
+        return Embedded(np.concatenate(rows).astype(np.float32), mask)
+
+    def scale(self, alpha: Alpha) -> Rows:
+        """α_b at every place of block b, shape (dim,): times a row it makes the query [α_b v_b]."""
+        return np.repeat(np.array(astuple(alpha), np.float32), self.dims)
+
+    def parts(self, one: Rows, other: Rows, mask: int) -> dict[str, float]:
+        """The cosine of each block in `mask`."""
+        ends = np.cumsum(self.dims)
+        return {
+            name: float(one[end - dim : end] @ other[end - dim : end])
+            for b, (name, dim, end) in enumerate(zip(BLOCKS, self.dims, ends, strict=True)) if mask >> b & 1
+        }  # fmt: skip
+
+    def knows(self, robot: str) -> bool:
+        """True if the limits of `robot` were given."""
+        return any(limits.robot == robot for limits in self.limits)
+
+    def _limits(self, robot: str) -> PostureLimits:
+        for limits in self.limits:
+            if limits.robot == robot:
+                return limits
+        raise UnknownName("robot", robot, tuple(limits.robot for limits in self.limits), owner="this memory")
+
+
+def _encodable(text: str) -> str:
+    """The text with lone surrogates, which tokenizers refuse, replaced by "?"."""
+    return text.encode("utf-8", "replace").decode("utf-8")

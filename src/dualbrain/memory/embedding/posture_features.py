@@ -1,0 +1,104 @@
+"""The robot's posture (q, opening) as a unit vector whose cosine is a Gaussian kernel: random Fourier features."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.robots.model import Body
+
+Array = NDArray[np.float64]
+
+FLOOR = 10.0
+"""Coordinates beyond this [m] count as alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """Joint angles `q` [rad] and finger `opening` [m each] when the instruction was heard."""
+
+    q: tuple[float, ...]
+    opening: float
+
+
+@dataclass(frozen=True, slots=True)
+class PostureLimits:
+    """Ranges that make postures of `robot` comparable: joint angles [rad] and the widest finger opening [m each]."""
+
+    robot: str
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    opening: float
+
+    @classmethod
+    def of(cls, body: Body) -> PostureLimits:
+        """The limits of `body`."""
+        lower = tuple(joint.lower.value for joint in body.joints)
+        upper = tuple(joint.upper.value for joint in body.joints)
+        if body.mobile:
+            lower, upper = (-FLOOR, -FLOOR, -pi, *lower[2:]), (FLOOR, FLOOR, pi, *upper[2:])
+        return cls(body.name, lower, upper, body.gripper.opening.value)
+
+    def normalised(self, posture: Posture) -> Array:
+        """Point x ∈ [−1, 1]^(n+1): each joint and the opening, linear between its limits; raises `InvalidSetup`."""
+        if len(posture.q) != len(self.lower) or not np.isfinite([*posture.q, posture.opening]).all():
+            raise InvalidSetup("posture", got=posture, allowed=f"{len(self.lower)} finite joint angles of {self.robot}")
+        x = np.array([*posture.q, posture.opening])
+        lower, upper = np.array([*self.lower, 0.0]), np.array([*self.upper, self.opening or 1.0])
+        return np.clip(2.0 * (x - lower) / (upper - lower) - 1.0, -1.0, 1.0)
+
+    @property
+    def fingerprint(self) -> str:
+        """8 hex digits that change when a limit does."""
+        text = ",".join(value.hex() for value in (*self.lower, *self.upper, self.opening))
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def fourier(x: Array, features: int, seed: int, bandwidth: float) -> Array:
+    """z(x) = √(2/D)·[cos Ωx, sin Ωx] of shape (features,), D = features; ‖z‖ = 1 exactly.
+
+    z(x)·z(y) ≈ exp(−‖x − y‖² / 2·bandwidth²) (Rahimi & Recht 2007), with orthogonal rows of Ω (Yu et al. 2016), which
+    halves the error: about 0.02 on average at 128 features.
+    """
+    phase = _frequencies(x.size, features // 2, seed) @ x / bandwidth
+    return np.concatenate([np.cos(phase), np.sin(phase)]) / np.sqrt(features // 2)
+
+
+@lru_cache
+def _frequencies(dim: int, rows: int, seed: int) -> Array:
+    """Ω of shape (rows, dim): blocks of orthogonal directions, each row with the length of a Gaussian vector."""
+    blocks = -(-rows // dim)
+    gaussian = _normals(seed, 2 * blocks * dim * dim).reshape(2, blocks, dim, dim)
+    directions = [_orthogonal(block) for block in gaussian[0]]
+    lengths = np.linalg.norm(gaussian[1].reshape(blocks * dim, dim), axis=1)
+    return (np.vstack(directions) * lengths[:, None])[:rows]
+
+
+def orthogonal_rows(rows: int, dim: int, seed: int) -> Array:
+    """Orthonormal rows of shape (rows, dim), uniformly turned, the same on every machine."""
+    gaussian = _normals(seed, rows * dim).reshape(rows, dim)
+    q, r = np.linalg.qr(gaussian.T)
+    return (q * np.sign(np.diag(r))).T
+
+
+def _orthogonal(block: Array) -> Array:
+    """The Q factor whose R has a positive diagonal: the one choice of signs that every LAPACK agrees on."""
+    q, r = np.linalg.qr(block)
+    return (q * np.sign(np.diag(r))).T
+
+
+def _normals(seed: int, count: int) -> Array:
+    """`count` standard normals from SHAKE-256 and Box-Muller: the same numbers on every machine and NumPy, for ever.
+
+    NumPy does not promise that its generators keep their streams, and stored vectors must outlive its versions.
+    """
+    raw = hashlib.shake_256(f"dualbrain posture features {seed}".encode()).digest(16 * count)
+    uniform = (np.frombuffer(raw, "<u8") >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    radius = np.sqrt(-2.0 * np.log1p(-uniform[:count]))
+    return radius * np.cos(2.0 * np.pi * uniform[count:])

@@ -1,0 +1,108 @@
+"""Sentences to unit vectors, offline: the encoder protocol and MiniLM-L6-v2 in int8 through ONNX Runtime."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.weights import locate
+from dualbrain.errors import MissingPart
+
+Rows = NDArray[np.float32]
+
+MAX_TOKENS = 256
+"""Longer texts are cut here: the length the model was trained for (its sentence-transformers configuration)."""
+
+ENCODER, TOKENIZER = "minilm-l6-v2-int8", "minilm-l6-v2-tokenizer"
+"""Names of its files in the manifest of weights."""
+
+_FETCH = f"Fetch it with `dualbrain models fetch {ENCODER}` and `dualbrain models fetch {TOKENIZER}`."
+_INSTALL = "Install it with `pip install 'dualbrain[memory]'`."
+
+
+class Encoder(Protocol):
+    """Turns texts into vectors whose cosine is their likeness in meaning.
+
+    `id` names model and version: vectors of different ids are never compared. The vector of a text depends on that text
+    alone, not on the others it is encoded with.
+    """
+
+    @property
+    def id(self) -> str:
+        """Name and version, e.g. "minilm-l6-v2-int8@8199be6f"."""
+        ...
+
+    @property
+    def dim(self) -> int:
+        """Length of each vector."""
+        ...
+
+    def encode(self, texts: Sequence[str]) -> Rows:
+        """Unit rows of shape (n_texts, dim), float32."""
+        ...
+
+
+class MiniLmEncoder:
+    """all-MiniLM-L6-v2 (384-d, Apache-2.0), dynamically quantised to int8: mean of the token vectors, normalised.
+
+    One text is encoded at a time: dynamic quantisation takes its scales from the whole batch, so that in a batch the
+    vector of a text would depend on its neighbours.
+    """
+
+    dim = 384
+
+    def __init__(self, model: Path, tokenizer: Path) -> None:
+        """Load the ONNX file `model` and `tokenizer` (tokenizer.json); raises `MissingPart` if one is not there."""
+        for path in (model, tokenizer):
+            if not path.is_file():
+                raise MissingPart(f"The sentence encoder's file {path.name}", fix=f"{_FETCH} Looked for {path}")
+        digest = hashlib.sha256(model.read_bytes() + tokenizer.read_bytes()).hexdigest()
+        self.id = f"minilm-l6-v2-int8@{digest[:8]}"
+        self._session = _session(model)
+        self._tokenizer = _tokenizer(tokenizer)
+
+    @classmethod
+    def fetched(cls, cache: Path) -> MiniLmEncoder:
+        """The encoder whose files were fetched into `cache`; raises `MissingPart`, `WrongHash`."""
+        return cls(locate(ENCODER, cache), locate(TOKENIZER, cache))
+
+    def encode(self, texts: Sequence[str]) -> Rows:
+        """Unit rows of shape (n_texts, 384), float32; any text is taken, the empty one too."""
+        return np.stack([self._encode_one(text) for text in texts]) if texts else np.empty((0, self.dim), np.float32)
+
+    def _encode_one(self, text: str) -> NDArray[np.float32]:
+        encoding = self._tokenizer.encode(text)
+        ids = np.asarray([encoding.ids], np.int64)
+        inputs = {"input_ids": ids, "attention_mask": np.ones_like(ids), "token_type_ids": np.zeros_like(ids)}
+        tokens = np.asarray(self._session.run(None, inputs)[0])[0]
+        mean = tokens.mean(axis=0, dtype=np.float64)
+        return (mean / np.linalg.norm(mean)).astype(np.float32)
+
+
+def _session(model: Path) -> Any:
+    """An ONNX Runtime session on one thread: the encoder must not take the control loop's cores."""
+    try:
+        runtime: Any = import_module("onnxruntime")
+    except ImportError as error:
+        raise MissingPart("The package onnxruntime", fix=_INSTALL) from error
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return runtime.InferenceSession(str(model), options, providers=["CPUExecutionProvider"])
+
+
+def _tokenizer(path: Path) -> Any:
+    try:
+        tokenizers: Any = import_module("tokenizers")
+    except ImportError as error:
+        raise MissingPart("The package tokenizers", fix=_INSTALL) from error
+    tokenizer = tokenizers.Tokenizer.from_file(str(path))
+    tokenizer.no_padding()
+    tokenizer.enable_truncation(MAX_TOKENS)
+    return tokenizer

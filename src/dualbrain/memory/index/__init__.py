@@ -1,0 +1,1 @@
+"""Rebuildable search index over the embeddings of the ledger."""

@@ -1,0 +1,133 @@
+"""Which memories may be recalled: columns of codes beside the vectors, and the filter that reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.memory.ledger.events import Status
+from dualbrain.memory.state.episode_record import Lesson
+from dualbrain.memory.state.state import Memo
+from dualbrain.records import OutcomeClass
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """Conditions on a memory; the empty tuple and None set none.
+
+    `skills`: its contract holds all of them; `contract`: it is the one with this digest. `after` and `before` [s, 1970
+    UTC] bound when it was stored. By default only active memories pass: neither candidates nor what is quarantined or
+    forgotten.
+    """
+
+    robot: str | None = None
+    registry: str | None = None
+    lesson: Lesson | None = None
+    skills: tuple[str, ...] = ()
+    contract: str | None = None
+    outcomes: tuple[OutcomeClass, ...] = ()
+    sources: tuple[str, ...] = ()
+    statuses: tuple[Status, ...] = ("active",)
+    after: float | None = None
+    before: float | None = None
+
+
+REMEMBERED = 16
+"""So many filters keep their answer."""
+TOLD = ("place", "lesson", "skills", "contract", "kind", "source")
+"""What is told of a memory when it is added, and stays."""
+
+
+class _Column:
+    """Values of one kind, each stored as a small number."""
+
+    def __init__(self) -> None:
+        self.codes = np.empty(64, np.int32)
+        self.known: dict[Any, int] = {}
+
+    def set(self, row: int, value: Any) -> None:
+        if row >= len(self.codes):
+            room = max(64, row // 2)
+            self.codes = np.concatenate([self.codes[:row], np.empty(room, np.int32)])
+        self.codes[row] = self.known.setdefault(value, len(self.known))
+
+    def among(self, wanted: set[Any], n: int) -> Mask:
+        """Rows whose value is in `wanted`."""
+        chosen = np.zeros(len(self.known), bool)
+        chosen[[self.known[value] for value in wanted if value in self.known]] = True
+        return chosen[self.codes[:n]]
+
+
+class Columns:
+    """What filters look at, one column a property, one row a memory."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._columns = {name: _Column() for name in (*TOLD, "status")}
+        self._times = np.empty(64)
+        self._count = 0
+        self._masks: dict[Filter, Mask] = {}
+
+    def add(self, memo: Memo) -> None:
+        """Append a row."""
+        row, self._count = self._count, self._count + 1
+        self._masks.clear()
+        if row == len(self._times):
+            self._times = np.concatenate([self._times, np.empty(max(64, row // 2))])
+        self._times[row] = memo.time
+        origin = memo.provenance
+        values = ((memo.robot, memo.registry), memo.lesson, origin.skills, origin.contract, memo.kind, origin.source)
+        for name, value in zip(TOLD, values, strict=True):
+            self._columns[name].set(row, value)
+        self.set_status(row, memo.status)
+
+    def set_status(self, row: int, status: Status) -> None:
+        """Change the status of a row."""
+        self._masks.clear()
+        self._columns["status"].set(row, status)
+
+    @property
+    def contracts(self) -> NDArray[np.int32]:
+        """A number for each row, shape (n,): equal where the contracts are. Not to be written to."""
+        return self._columns["contract"].codes[: self._count]
+
+    def mask(self, wanted: Filter) -> Mask:
+        """Which rows pass, shape (n,); remembered until a row is added or changes its status. Not to be written to."""
+        if wanted not in self._masks:
+            if len(self._masks) == REMEMBERED:
+                self._masks.clear()
+            self._masks[wanted] = self._passing(wanted)
+        return self._masks[wanted]
+
+    def _passing(self, wanted: Filter) -> Mask:
+        n, columns = self._count, self._columns
+        if not n:
+            return np.zeros(0, bool)
+        passed = columns["status"].among(set(wanted.statuses), n)
+        if wanted.robot is not None or wanted.registry is not None:
+            places = {
+                (robot, registry) for robot, registry in columns["place"].known
+                if wanted.robot in (None, robot) and wanted.registry in (None, registry)
+            }  # fmt: skip
+            passed &= columns["place"].among(places, n)
+        if wanted.lesson is not None:
+            passed &= columns["lesson"].among({wanted.lesson}, n)
+        if wanted.skills:
+            chosen = {skills for skills in columns["skills"].known if set(wanted.skills) <= set(skills)}
+            passed &= columns["skills"].among(chosen, n)
+        if wanted.contract is not None:
+            passed &= columns["contract"].among({wanted.contract}, n)
+        if wanted.outcomes:
+            passed &= columns["kind"].among(set(wanted.outcomes), n)
+        if wanted.sources:
+            passed &= columns["source"].among(set(wanted.sources), n)
+        if wanted.after is not None:
+            passed &= self._times[:n] >= wanted.after
+        if wanted.before is not None:
+            passed &= self._times[:n] <= wanted.before
+        return passed

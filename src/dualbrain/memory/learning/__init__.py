@@ -1,0 +1,1 @@
+"""Weight updates from outcomes, trust in sources, consolidation."""

@@ -1,0 +1,276 @@
+"""The append-only event ledger in SQLite: the only truth of memory. Weights and vectors are derived from it."""
+
+from __future__ import annotations
+
+import math
+import os
+import sqlite3
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from dualbrain.core.storage.file_lock import Holder, WriterLock
+from dualbrain.core.storage.sqlite import transaction
+from dualbrain.core.text import clean
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.memory.ledger import runs
+from dualbrain.memory.ledger.events import EPISODE
+from dualbrain.memory.ledger.hash_chain import GENESIS, ChainReport, DamagedLedger, Event, Head, digest, walk
+from dualbrain.memory.ledger.runs import InterruptedRun
+from dualbrain.memory.ledger.tables import MIGRATED, SCHEMA_VERSION, create, version_of
+
+_COLUMNS = "seq, kind, run, subject, time, payload, previous, hash"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What is to be appended: `payload` is anything msgspec can write as JSON; `vector` goes to the projection.
+
+    `run` is the run it belongs to, None for the one that is under way.
+    """
+
+    kind: str
+    subject: str
+    payload: object
+    vector: Vector | None = None
+    run: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """One row of the vector projection: `version` of the embedding that made it, little-endian float32 `data`.
+
+    Bit b of `mask` says that block b is there (see `embedding`).
+    """
+
+    version: str
+    data: bytes
+    mask: int = 0
+
+
+class LedgerReader:
+    """Read-only view of a ledger; any number may be open, also while a run writes."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the ledger at `path`; raises `MissingPart`, `InvalidSetup` or `DamagedLedger`."""
+        if not path.exists():
+            raise MissingPart(f"The memory ledger {path}", fix="It is made by the first `dualbrain run`.")
+        self.path = path
+        with self._translated():
+            self._database = sqlite3.connect(_address(path), uri=True, isolation_level=None)
+            self._admit()
+
+    def _admit(self) -> None:
+        """Read text as it is, however damaged, and refuse a schema that this program does not know."""
+        self._database.text_factory = _text
+        self.schema = version_of(self._database)
+        if not self.schema:
+            raise InvalidSetup("memory ledger", got="an empty file", allowed="a ledger", fix=str(self.path))
+
+    @contextmanager
+    def _translated(self) -> Generator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            allowed = "a ledger that this user can read and write, on a disk with space"
+            raise InvalidSetup("memory ledger", got=str(error), allowed=allowed, fix=str(self.path)) from error
+        except sqlite3.IntegrityError as error:
+            allowed = "an episode id or run name that this ledger does not hold yet"
+            raise InvalidSetup("ledger event", got=str(error), allowed=allowed) from error
+        except sqlite3.DatabaseError as error:
+            raise DamagedLedger(f"SQLite says: {error}", seq=None, path=str(self.path)) from error
+
+    def events(self, where: str = "", values: tuple[object, ...] = ()) -> Iterator[Event]:
+        """Events in order of `seq`; `where` is an SQL condition over the columns of the event table."""
+        condition = f"WHERE {where}" if where else ""
+        with self._translated():
+            query = f"SELECT {_COLUMNS} FROM event {condition} ORDER BY seq"
+            for row in self._database.execute(query, clean(list(values))):
+                yield _event(row)
+
+    def head(self) -> Head:
+        """The newest event, (0, genesis) if there is none."""
+        with self._translated():
+            row = self._database.execute("SELECT seq, hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
+        return Head(row[0], row[1]) if row else Head(0, GENESIS)
+
+    def verify(self, anchor: Head | None = None) -> ChainReport:
+        """Walk the whole chain (see `chain.walk`); an unreadable event is a report too."""
+        return walk(self.events(), anchor)
+
+    def event(self, seq: int) -> Event:
+        """The event number `seq`; raises `DamagedLedger` if there is none."""
+        for event in self.events("seq = ?", (seq,)):
+            return event
+        raise DamagedLedger("it is missing", seq=seq, path=str(self.path))
+
+    def last_before(self, time: float) -> int:
+        """Number of the last event written at or before `time` [s, 1970 UTC], 0 if there is none."""
+        with self._translated():
+            row = self._database.execute("SELECT max(seq) FROM event WHERE time <= ?", (time,)).fetchone()
+        return row[0] or 0
+
+    def vectors(self, after: int = 0) -> Iterator[tuple[int, Vector]]:
+        """The vector projection: the event number of each episode after event `after`, and its vector."""
+        if self.schema < SCHEMA_VERSION:
+            fix = f"Open it once for writing: `dualbrain memory rebuild`. {self.path}"
+            raise InvalidSetup("ledger schema_version", got=self.schema, allowed=str(SCHEMA_VERSION), fix=fix)
+        with self._translated():
+            query = "SELECT seq, version, data, mask FROM vector WHERE seq > ? ORDER BY seq"
+            for seq, version, data, mask in self._database.execute(query, (after,)):
+                yield seq, Vector(version, data, mask)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class Ledger(LedgerReader):
+    """The one writer. Each `append` is one transaction and one fsync: all of it is on disk, or none of it is.
+
+    Promise: a process killed between any two statements leaves a valid chain that holds every acknowledged event.
+    Assumption: the disk keeps what it says it has synced.
+    """
+
+    def __init__(self, path: Path, *, holder: str, now: float, patience: float = 0.0) -> None:
+        """Open or make the ledger at `path` as `holder` at `now` [s, 1970 UTC].
+
+        Raises `LedgerInUse` if it is still taken after `patience` [s], `InvalidSetup` if it cannot be written. An older
+        schema is brought to the present one, and an event says so.
+        """
+        self.path, self.opened, self._run = path, now, ""
+        with _readable(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = WriterLock(path, Holder(os.getpid(), holder, now), patience=patience)
+        try:
+            with self._translated():
+                self._database = sqlite3.connect(path, isolation_level=None)
+                found = self._create()
+                self._admit()
+            if 0 < found < SCHEMA_VERSION:
+                self.append([Entry(MIGRATED, "", {"from": found, "to": SCHEMA_VERSION})], now=now)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _create(self) -> int:
+        mode = self._database.execute("PRAGMA journal_mode = WAL").fetchone()[0]
+        if mode != "wal":
+            raise InvalidSetup("ledger journal mode", got=mode, allowed="wal", fix=f"Use a local disk. {self.path}")
+        self._database.execute("PRAGMA synchronous = FULL")
+        return create(self._database)
+
+    def append(self, entries: Sequence[Entry], *, now: float) -> tuple[Event, ...]:
+        """Chain and store `entries`, all or none, written at `now` [s, 1970 UTC]."""
+        if not math.isfinite(now):
+            raise InvalidSetup("time of a ledger event", got=now, allowed="finite seconds since 1970 UTC")
+        head, events = self.head(), list[Event]()
+        for entry in entries:
+            event = _chained(entry, self._run if entry.run is None else clean(entry.run), now, head)
+            events.append(event)
+            head = Head(event.seq, event.hash)
+        with self._translated(), transaction(self._database):
+            for event, entry in zip(events, entries, strict=True):
+                row = tuple(getattr(event, name) for name in Event.__slots__)
+                self._database.execute(f"INSERT INTO event ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
+                if entry.vector is not None:
+                    self._project(event.seq, entry.vector)
+        return tuple(events)
+
+    def replace_vectors(self, vectors: Mapping[int, Vector]) -> None:
+        """Put `vectors` in place of the whole projection; the events are not touched."""
+        with self._translated(), transaction(self._database):
+            self._database.execute("DELETE FROM vector")
+            for seq, vector in vectors.items():
+                self._project(seq, vector)
+
+    def _project(self, seq: int, vector: Vector) -> None:
+        row = (seq, vector.version, vector.data, vector.mask)
+        self._database.execute("INSERT INTO vector (seq, version, data, mask) VALUES (?, ?, ?, ?)", row)
+
+    def start_run(self, run: str, details: object, *, now: float) -> tuple[InterruptedRun, ...]:
+        """Begin `run`; returns the runs that were cut off before it, and writes down that they were."""
+        cut = self.interrupted()
+        closing = [Entry(runs.INTERRUPTED, "", {"after": one.last_words, "found_by": run}, run=one.run) for one in cut]
+        self.append([*closing, Entry(runs.STARTED, "", details, run=run)], now=now)
+        self._run = clean(run)
+        return cut
+
+    def mark(self, what: str, *, now: float) -> None:
+        """Write down what the run is about to do (a few words), so that an interrupted run can be told apart."""
+        self.append([Entry(runs.MARKED, "", {"what": what})], now=now)
+
+    def end_run(self, details: object, *, now: float) -> None:
+        """End the run that `start_run` began."""
+        self.append([Entry(runs.ENDED, "", details)], now=now)
+        self._run = ""
+
+    def interrupted(self) -> tuple[InterruptedRun, ...]:
+        """Runs of former processes that started and never ended, oldest first. Only the writer can know this."""
+        ended = "SELECT run FROM event WHERE kind IN (?, ?)"
+        where = f"kind = ? AND run <> ? AND run NOT IN ({ended})"
+        open_runs = list(self.events(where, (runs.STARTED, self._run, runs.ENDED, runs.INTERRUPTED)))
+        return tuple(self._interrupted(start) for start in open_runs)
+
+    def _interrupted(self, start: Event) -> InterruptedRun:
+        events = list(self.events("run = ?", (start.run,)))
+        episodes = sum(event.kind == EPISODE for event in events)
+        return InterruptedRun(start.run, start.time, events[-1].time, runs.last_words(events[-1]), episodes)
+
+    def settle(self) -> None:
+        """Bring all of the write-ahead log into the file itself; raises `InvalidSetup` if a reader is in the way."""
+        with self._translated():
+            busy = self._database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+        if busy:
+            raise InvalidSetup("memory ledger", got="in use by a reader", allowed="nobody reading", fix=str(self.path))
+
+    def close(self) -> None:
+        """Close the file and let the next writer in."""
+        super().close()
+        self._lock.release()
+
+
+def _chained(entry: Entry, run: str, now: float, head: Head) -> Event:
+    payload = msgspec.json.encode(clean(msgspec.to_builtins(entry.payload, str_keys=True)), order="deterministic")
+    event = Event(head.seq + 1, entry.kind, run, clean(entry.subject), float(now), payload, head.hash, "")
+    return replace(event, hash=digest(event))
+
+
+@contextmanager
+def _readable(path: Path) -> Generator[None]:
+    try:
+        yield
+    except OSError as error:
+        allowed = "a ledger that this user can read and write, on a disk with space"
+        raise InvalidSetup("memory ledger", got=error.strerror, allowed=allowed, fix=str(path)) from error
+
+
+def _address(path: Path) -> str:
+    """How SQLite is to read `path`. Where nothing can be written, not even its shared index, nobody can be writing."""
+    log = path.with_name(f"{path.name}-wal")
+    settled = not log.exists() or log.stat().st_size == 0
+    still = settled and not os.access(path.parent, os.W_OK)
+    return path.resolve().as_uri() + ("?immutable=1" if still else "?mode=ro")
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode("utf-8", "surrogateescape")
+
+
+def _event(row: tuple[Any, ...]) -> Event:
+    """An event from a row in which a stranger may have put any type."""
+    seq, kind, run, subject, time, payload, previous, stored = row
+    seconds = time if isinstance(time, float) else math.nan
+    content = payload if isinstance(payload, bytes) else str(payload).encode("utf-8", "surrogateescape")
+    return Event(seq, str(kind), str(run), str(subject), seconds, content, str(previous), str(stored))

@@ -1,0 +1,64 @@
+"""The tables of a ledger file, their version, and the steps from an older version to this one."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+
+from dualbrain.core.storage.sqlite import statements, transaction
+from dualbrain.errors import InvalidSetup
+
+SCHEMA_VERSION = 2
+MIGRATED = "migrated"
+"""Kind of the event that says from which version to which a file was brought."""
+
+_FIRST = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+INSERT INTO meta VALUES ('schema_version', '1');
+CREATE TABLE event (
+    seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, run TEXT NOT NULL, subject TEXT NOT NULL, time REAL NOT NULL,
+    payload BLOB NOT NULL, previous TEXT NOT NULL, hash TEXT NOT NULL);
+CREATE INDEX event_kind ON event (kind, run);
+CREATE UNIQUE INDEX one_episode ON event (subject) WHERE kind = 'episode';
+CREATE UNIQUE INDEX one_start ON event (run) WHERE kind = 'run_started';
+CREATE TRIGGER event_is_never_changed BEFORE UPDATE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
+CREATE TRIGGER event_is_never_removed BEFORE DELETE ON event BEGIN SELECT raise(ABORT, 'append-only'); END;
+CREATE TABLE vector (seq INTEGER PRIMARY KEY REFERENCES event (seq), version TEXT NOT NULL, data BLOB NOT NULL);
+"""
+_MIGRATIONS: Mapping[int, str] = {
+    1: """
+ALTER TABLE vector ADD COLUMN mask INTEGER NOT NULL DEFAULT 0;
+CREATE INDEX event_subject ON event (subject, kind);
+CREATE INDEX event_time ON event (time);
+""",
+}
+"""From a version to the next. A step may add and index; it never touches an event, so the chain stays what it was."""
+
+
+def create(database: sqlite3.Connection) -> int:
+    """Make the tables, or bring them to `SCHEMA_VERSION`, in one transaction; returns the version found (0: none).
+
+    Raises `InvalidSetup` for a version that this program does not know. A process killed on the way leaves the old
+    version whole.
+    """
+    found = version_of(database)
+    if found == SCHEMA_VERSION:
+        return found
+    steps = [_MIGRATIONS[version] for version in range(max(found, 1), SCHEMA_VERSION)]
+    now = f"UPDATE meta SET value = '{SCHEMA_VERSION}' WHERE key = 'schema_version';"
+    with transaction(database):
+        for statement in statements("".join(("" if found else _FIRST, *steps, now))):
+            database.execute(statement)
+    return found
+
+
+def version_of(database: sqlite3.Connection) -> int:
+    """The version of the tables, 0 if there are none; raises `InvalidSetup` unless it is known."""
+    if not database.execute("SELECT 1 FROM sqlite_master").fetchone():
+        return 0
+    rows = database.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchall()
+    found = rows[0][0] if rows else "none"
+    known = [str(version) for version in range(1, SCHEMA_VERSION + 1)]
+    if found not in known:
+        raise InvalidSetup("ledger schema_version", got=found, allowed=" or ".join(known), fix="Update dualbrain.")
+    return int(found)

@@ -1,0 +1,1 @@
+"""Audit, edits, compaction, export and verification of a ledger."""

@@ -1,0 +1,49 @@
+"""A map of memory: all embeddings on two axes, for a picture coloured by weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.memory.memory import Memory
+
+SAMPLE = 2000
+"""The axes are found from at most this many memories, spread evenly over time."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryMap:
+    """Points of shape (n, 2), weights w of shape (n,), ids and outcomes, and the share of variance the axes show."""
+
+    points: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    statuses: tuple[str, ...]
+    shown: float
+
+
+def memory_map(memory: Memory) -> MemoryMap:
+    """The first two principal axes of the embeddings with their blocks weighted by √α: e − ē = U S V', points = U S.
+
+    Distances on the map are those of the joint embedding, as far as two axes can show them; signs are fixed (the entry
+    of largest size in each axis is positive), so that the same memory draws the same map.
+    """
+    state, rows = memory.state, memory.index.scan.rows
+    scale = np.sqrt(memory.embedding.scale(memory.config.embedding.alpha)).astype(np.float64)
+    chosen = np.unique(np.linspace(0, max(0, len(rows) - 1), min(len(rows), SAMPLE)).round().astype(np.intp))
+    sample = rows[chosen].astype(np.float64) * scale
+    points, shown = np.zeros((len(rows), 2)), 0.0
+    if len(rows) > 1:
+        centre = sample.mean(axis=0)
+        _, spread, axes = np.linalg.svd(sample - centre, full_matrices=False)
+        axes = axes[:2] * np.sign(axes[:2][np.arange(len(axes[:2])), np.abs(axes[:2]).argmax(axis=1)])[:, None]
+        points[:, : len(axes)] = (rows.astype(np.float64) * scale - centre) @ axes.T
+        total = float((spread**2).sum())
+        shown = float((spread[:2] ** 2).sum() / total) if total > 0.0 else 0.0
+    return MemoryMap(
+        points, np.array([memo.weight for memo in state.memos]), tuple(memo.id for memo in state.memos),
+        tuple(memo.kind for memo in state.memos), tuple(memo.status for memo in state.memos), shown,
+    )  # fmt: skip

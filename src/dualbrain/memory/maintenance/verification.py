@@ -1,0 +1,49 @@
+"""Is memory what was written: the chain, the weights, the snapshot and the vectors, each against the events."""
+
+from __future__ import annotations
+
+import msgspec
+
+from dualbrain.memory.embedding.joint_embedding import JointEmbedding
+from dualbrain.memory.index.index import made
+from dualbrain.memory.ledger.hash_chain import ChainReport, Head
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.state.derivation import derive
+from dualbrain.memory.state.snapshot import read
+
+
+class Verification(msgspec.Struct, frozen=True):
+    """What was found: the chain, and how many vectors are wrong, missing or left over (None: not looked at)."""
+
+    chain: ChainReport
+    memories: int = 0
+    snapshot: str = "none"
+    vectors_wrong: int | None = None
+
+    @property
+    def whole(self) -> bool:
+        """True if everything that was looked at holds."""
+        return self.chain.whole and self.snapshot != "differs" and not self.vectors_wrong
+
+
+def verify(
+    ledger: LedgerReader, *, anchor: Head | None = None, embedding: JointEmbedding | None = None
+) -> Verification:
+    """Walk the chain; if it holds, derive all weights and compare the snapshot.
+
+    With an `embedding`, every vector is made again and compared to the bit.
+    """
+    chain = ledger.verify(anchor)
+    if not chain.whole:
+        return Verification(chain)
+    state = derive(ledger)
+    found = read(ledger)
+    snapshot = "none"
+    if found is not None:
+        then = derive(ledger, head=found.head.seq)
+        snapshot = "agrees" if then.memos == found.state.memos else "differs"
+    wrong = None
+    if embedding is not None:
+        stored, anew = dict(ledger.vectors()), dict(made(ledger, embedding))
+        wrong = sum(stored.get(seq) != vector for seq, vector in anew.items()) + len(stored.keys() - anew.keys())
+    return Verification(chain, len(state), snapshot, wrong)

@@ -1,0 +1,112 @@
+"""The bounded Hebbian-style weight update (paper 5.3), with the constraints under which Proposition 2 holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.memory.plasticity.affine_map import Factors
+
+W0 = 0.5
+"""Weight of a new memory before any outcome."""
+EPSILON = 0.003
+"""Δ up to which a success speaks for a memory, unless it is set for a robot."""
+BANDWIDTH = 0.2
+"""ℓ of a neighbourhood unless it is set otherwise: half of a neighbour's word is left at cos = 0.97."""
+WIDEST = 0.3
+"""The widest neighbourhood ℓ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Penalty:
+    """g(Δ) = floor + (1 − floor)·Δ/(Δ + scale): monotone, from `floor` at Δ = 0 to 1; half-way at Δ = `scale`.
+
+    `rejected` stands in for g where no Δ exists, because nothing was executed (a contract that the gate refused).
+    """
+
+    floor: float = 0.5
+    scale: float = 0.01
+    rejected: float = 1.0
+
+    def __call__(self, Delta: float | None) -> float:
+        """g(Δ); `rejected` if there is no Δ, 1 if it is not a number."""
+        if Delta is None:
+            return self.rejected
+        size = max(Delta, 0.0)
+        return self.floor + (1.0 - self.floor) * (size / (size + self.scale) if math.isfinite(Delta) else 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Plasticity:
+    """The rule (paper 5.3): ρ `rho`, η₊ `eta_plus`, η₋ `eta_minus`, ε `epsilon` and the penalty `g`.
+
+    reinforce (r = 1 and Δ ≤ ε): w ← min{1, max{0, (1 − ρ)·w + η₊}}
+    suppress  (r = 0 or Δ > ε):  w ← min{1, max{0, (1 − ρ)·w − η₋·g(Δ)}}
+
+    Constraints that the paper leaves out and Proposition 2 needs: η₊ ≥ ρ (else a success would lower a high weight),
+    η₊ > 0, and η₋·g(0) > 0 or ρ > 0 (else a failure without intervention would change nothing).
+    Promise: w stays in [0, 1]; reinforcing never lowers it, suppressing never raises it, more Δ never suppresses less;
+    under repeated success w → min(1, η₊/ρ) = 1, under repeated failure w → 0. Updates do not commute: their order in
+    the ledger is part of their meaning. Defaults suit a Δ of about 0.003 in clean successes; set ε per robot.
+
+    Neighbourhood: w_j ← min{1, max{0, w_j + κ ξ exp(−‖e_j − e_i‖²/2ℓ²)}} with κ `kappa`, ξ = ±1, ℓ `bandwidth`, for at
+    most `reach` memories j ≠ i of the same contract within 3ℓ, where the factor has fallen to 0.011. ℓ ≤ 0.3, that is
+    cos ≥ 0.6: wider, and unrelated episodes would be neighbours. κ ≤ η₊ − ρ and κ ≤ η₋·g: a neighbour's outcome never
+    outweighs an own one.
+    """
+
+    rho: float = 0.05
+    eta_plus: float = 0.1
+    eta_minus: float = 0.2
+    epsilon: float = EPSILON
+    g: Penalty = field(default_factory=Penalty)
+    kappa: float = 0.02
+    bandwidth: float = BANDWIDTH
+    reach: int = 100
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidSetup` for a rule under which Proposition 2 would not hold."""
+        g = self.g
+        _require("rho", self.rho, 0.0 <= self.rho < 1.0, "in [0, 1)")
+        _require(
+            "eta_plus", self.eta_plus, max(self.rho, 0.0) <= self.eta_plus < math.inf, f"at least rho = {self.rho}"
+        )
+        _require("eta_plus", self.eta_plus, self.eta_plus > 0.0, "above 0")
+        _require("eta_minus", self.eta_minus, 0.0 <= self.eta_minus < math.inf, "at least 0")
+        _require("epsilon", self.epsilon, 0.0 <= self.epsilon < math.inf, "at least 0")
+        _require("g.floor", g.floor, 0.0 <= g.floor <= 1.0, "in [0, 1]")
+        _require("g.scale", g.scale, 0.0 < g.scale < math.inf, "above 0")
+        _require("g.rejected", g.rejected, 0.0 <= g.rejected < math.inf, "at least 0")
+        _require("kappa", self.kappa, 0.0 <= self.kappa <= 1.0, "in [0, 1]")
+        _require("bandwidth", self.bandwidth, 0.0 < self.bandwidth <= WIDEST, f"above 0, at most {WIDEST}")
+        _require("reach", self.reach, self.reach >= 0, "at least 0")
+        weakest = self.eta_minus * min(g.floor, g.rejected)
+        _require("eta_minus * g", weakest, weakest > 0.0 or self.rho > 0.0, "above 0, or rho above 0")
+        most = min(self.eta_plus - self.rho, weakest)
+        _require("kappa", self.kappa, self.kappa <= max(most, 0.0), f"at most eta_plus - rho and eta_minus * g: {most}")
+
+    def reinforces(self, r: int, Delta: float | None) -> bool:
+        """True if the outcome is a success with little intervention; a missing or non-finite Δ is not."""
+        return r == 1 and Delta is not None and 0.0 <= Delta <= self.epsilon
+
+    def factors(self, r: int, Delta: float | None) -> Factors:
+        """The update that the outcome (r, Δ) causes; Δ is None if nothing was executed."""
+        if self.reinforces(r, Delta):
+            return Factors(1.0 - self.rho, self.eta_plus)
+        return Factors(1.0 - self.rho, -self.eta_minus * self.g(Delta))
+
+    @property
+    def radius(self) -> float:
+        """Largest squared distance ‖e_j − e_i‖² of a neighbour, (3ℓ)²."""
+        return (3.0 * self.bandwidth) ** 2
+
+    def neighbour_offset(self, distance: float, *, up: bool) -> float:
+        """κ ξ exp(−d²/2ℓ²) for the squared distance d² = `distance`; ξ = +1 if `up`, else −1."""
+        size = self.kappa * math.exp(-distance / (2.0 * self.bandwidth**2))
+        return size if up else -size
+
+
+def _require(what: str, got: float, holds: bool, allowed: str) -> None:
+    if not holds:
+        raise InvalidSetup(f"plasticity {what}", got=got, allowed=allowed)

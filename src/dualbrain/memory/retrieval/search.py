@@ -1,0 +1,199 @@
+"""Feedback-weighted retrieval (paper 5.2): the exact top k of R = λ_s s + (1 − λ_s) w̄ by a scan over all memories.
+
+w̄ is what all memories of a contract tell of it near the query (`worth`); of a contract that is remembered once, its w.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.memory.embedding.text_encoder import Rows
+from dualbrain.memory.plasticity.rule import W0
+
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+Weights = NDArray[np.float64]
+Codes = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """One retrieved row: its number, similarity s ∈ [0, 1], the weight w̄ ∈ [0, 1] of its contract and score R."""
+
+    row: int
+    similarity: float
+    weight: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A query row [α_b v_b] of shape (dim,), which blocks it has, Σ α_b over the blocks of each mask, shape (m,).
+
+    `scale` is α_b at every place of block b, shape (dim,).
+    """
+
+    row: Rows
+    mask: int
+    shares: NDArray[np.float64]
+    scale: Rows
+
+    @classmethod
+    def plain(cls, row: Rows) -> Query:
+        """A query of one block."""
+        return cls(row, 1, np.array([0.0, 1.0]), np.ones_like(row))
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A query and its cosine with every row, shape (n,), in float32."""
+
+    query: Query
+    cosine: Rows
+
+
+class Scan:
+    """All embeddings in one float32 matrix of shape (n, dim), all weights and block masks beside it.
+
+    A robot makes 1e4 to 1e5 episodes in years; up to there reading every row is as fast as memory allows, and it is
+    exact, while over-fetching by similarity misses most of the true top k of R.
+    """
+
+    def __init__(self, dim: int) -> None:
+        """Begin empty, for embeddings of length `dim`."""
+        self._rows: Rows = np.empty((0, dim), np.float32)
+        self._weights = np.empty(0)
+        self._masks: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self._count = 0
+        self._mask: int | None = None
+        self._scratch: tuple[Rows, Rows] = (np.empty(0, np.float32), np.empty(0, np.float32))
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def rows(self) -> Rows:
+        """All embeddings, shape (n, dim); not to be written to."""
+        return self._rows[: self._count]
+
+    @property
+    def masks(self) -> NDArray[np.uint8]:
+        """Which blocks each row has, shape (n,)."""
+        return self._masks[: self._count]
+
+    def load(self, rows: Rows, weights: NDArray[np.float64], masks: NDArray[np.uint8]) -> None:
+        """Take whole arrays, shapes (n, dim), (n,), (n,), in place of what is there."""
+        self._rows, self._weights, self._masks, self._count = rows, weights, masks, len(rows)
+        found = np.unique(masks)
+        self._mask = int(found[0]) if found.size == 1 else None
+
+    def add(self, embedding: Rows, weight: float, mask: int = 1) -> int:
+        """Append one row of shape (dim,); returns its number. Later rows are newer."""
+        if self._count == len(self._rows):
+            room = max(64, len(self._rows) // 2)
+            self._rows = np.concatenate([self._rows, np.empty((room, self._rows.shape[1]), np.float32)])
+            self._weights = np.concatenate([self._weights, np.empty(room)])
+            self._masks = np.concatenate([self._masks, np.empty(room, np.uint8)])
+        self._rows[self._count], self._weights[self._count], self._masks[self._count] = embedding, weight, mask
+        self._mask = mask if self._count == 0 or self._mask == mask else None
+        self._count += 1
+        return self._count - 1
+
+    def weight(self, row: int) -> float:
+        """Weight w of one row."""
+        return float(self._weights[row])
+
+    def reweigh(self, row: int, weight: float) -> None:
+        """Set w of one row."""
+        self._weights[row] = weight
+
+    def compare(self, query: Query) -> Compared:
+        """Read every row once; the result serves any number of `top` calls until a row is added."""
+        product = self.rows @ query.row
+        if self._mask is not None:
+            share = query.shares[self._mask & query.mask]
+            if abs(share - 1.0) > 1e-6:
+                product *= np.float32(1.0 / share if share else 0.0)
+            return Compared(query, product)
+        shares = query.shares[self.masks & query.mask].astype(np.float32)
+        return Compared(query, np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0))
+
+    @property
+    def weights(self) -> Weights:
+        """The weight of each row, shape (n,); not to be written to."""
+        return self._weights[: self._count]
+
+    def top(
+        self, compared: Compared, eligible: Mask, k: int, lambda_s: float, weights: Weights | None = None
+    ) -> tuple[Hit, ...]:
+        """The k eligible rows with the largest R = λ_s (1 + cos)/2 + (1 − λ_s) w, best first; the newer wins a tie.
+
+        `weights` (n,) take the place of the rows' own.
+        The scan is in float32; every row within its rounding error of the k-th is scored again in float64, row by row,
+        so the answer equals that of a float64 sort, and equal rows tie exactly wherever they stand.
+        """
+        check_lambda(lambda_s)
+        n = self._count
+        if k <= 0 or n == 0:
+            return ()
+        if len(self._scratch[0]) < n:
+            self._scratch = (np.empty(len(self._rows), np.float32), np.empty(len(self._rows), np.float32))
+        rough, sorting = (part[:n] for part in self._scratch)
+        np.multiply(compared.cosine, np.float32(lambda_s / 2.0), out=rough)
+        weights = self.weights if weights is None else weights
+        np.multiply(weights, 1.0 - lambda_s, out=sorting, casting="same_kind")
+        rough += sorting
+        np.copyto(rough, -np.inf, where=~eligible)
+        np.copyto(sorting, rough)
+        sorting.partition(max(0, n - k))
+        rows = np.flatnonzero(rough >= sorting[max(0, n - k)] - self._slack(compared.query))
+        return self._ranked(rows[eligible[rows]], compared.query, lambda_s, weights)[:k]
+
+    def _slack(self, query: Query) -> float:
+        """Bound of the rounding of a float32 score."""
+        present = query.shares[query.shares > 0.0]
+        least = min(1.0, float(present.min())) if present.size else 1.0
+        return (2.0 * query.row.size / least + 8.0) * 2.0**-24
+
+    def _ranked(self, rows: Numbers, query: Query, lambda_s: float, weights: Weights) -> tuple[Hit, ...]:
+        cosine = self.cosines(rows, query)
+        similarity = np.clip((1.0 + cosine) / 2.0, 0.0, 1.0)
+        weights = weights[rows]
+        score = lambda_s * similarity + (1.0 - lambda_s) * weights
+        order = np.lexsort((-rows, -score))
+        return tuple(Hit(int(rows[i]), float(similarity[i]), float(weights[i]), float(score[i])) for i in order)
+
+    def cosines(self, rows: Numbers, query: Query) -> NDArray[np.float64]:
+        """The cosine of some rows with the query in float64, each computed apart, shape (len(rows),)."""
+        product = (self._rows[rows].astype(np.float64) * query.row.astype(np.float64)).sum(axis=1)
+        shares = query.shares[self._masks[rows] & query.mask]
+        return np.divide(product, shares, out=np.zeros_like(product), where=shares > 0.0)
+
+
+def worth(compared: Compared, weights: Weights, contracts: Codes, counted: Mask, bandwidth: float) -> Weights:
+    """The weight w̄ of each row's contract near the query, shape (n,): what its memories tell adds up.
+
+    w̄ = min{1, max{0, w₀ + Σ_j κ_j (w_j − w₀)}} over the `counted` rows j of the same contract (equal numbers in
+    `contracts`, (n,)). The nearest of them has κ = 1, others exp(−(d_j² − d²)/2ℓ²) with d² = ‖e − e_q‖² = 2 − 2 cos, d
+    that of the nearest, and ℓ = `bandwidth`. So a lone memory has its own weight; where none counts, rows keep theirs.
+
+    A repeated contract is not a new one: alone, its newest memory would begin at w₀ however often it had gone wrong.
+    """
+    many = int(contracts.max(initial=-1)) + 1
+    cosine = np.where(counted, compared.cosine, np.float32(-np.inf))
+    nearest = np.full(many, -np.inf, np.float32)
+    np.maximum.at(nearest, contracts, cosine)
+    known = np.isfinite(nearest)[contracts]
+    beyond = np.subtract(cosine, nearest[contracts], out=np.full_like(cosine, -np.inf), where=known)
+    told = np.bincount(contracts, np.exp(beyond / np.float32(bandwidth**2)) * (weights - W0), many)
+    return np.where(known, np.clip(W0 + told[contracts], 0.0, 1.0), weights)
+
+
+def check_lambda(lambda_s: float) -> None:
+    """Raise `InvalidSetup` unless λ_s ∈ [0, 1]."""
+    if not 0.0 <= lambda_s <= 1.0:
+        raise InvalidSetup("lambda_s", got=lambda_s, allowed="in [0, 1]")

@@ -1,0 +1,47 @@
+"""Where a memory comes from: written by the controller, out of reach of every text that a model writes."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import msgspec
+
+from dualbrain.core.text import clean
+from dualbrain.memory.plasticity.plan_similarity import actions
+from dualbrain.records import Episode
+
+PERSON = "person"
+
+
+class Provenance(msgspec.Struct, frozen=True):
+    """The origin of one memory.
+
+    `source` is who proposed the contract (a planner with its adapter, or a file): influence is bounded per source.
+    `scene` and `contract` are SHA-256 of what was perceived and of the actions, `skills` their names in order. Robot,
+    registry hash, seed and program versions stand in the episode itself.
+    """
+
+    source: str = "unknown"
+    adapter: str = ""
+    scene: str = ""
+    contract: str = ""
+    skills: tuple[str, ...] = ()
+    seed: int = 0
+
+
+def provenance_of(episode: Episode) -> Provenance:
+    """The origin of `episode` from what the runtime wrote of it."""
+    planner = episode.attempts[-1].proposal.planner if episode.attempts else PERSON
+    adapter = episode.versions.get("adapter", "")
+    plan = actions(episode.contract)
+    return Provenance(
+        f"{planner}+{adapter}" if adapter else planner, adapter, digest(msgspec.to_builtins(episode.scene)),
+        digest(plan), tuple(str(action.get("skill", "")) for action in plan),
+        episode.seed,
+    )  # fmt: skip
+
+
+def digest(value: Any) -> str:
+    """First 16 hex digits of SHA-256 over the canonical JSON of `value`."""
+    return hashlib.sha256(msgspec.json.encode(clean(value), order="deterministic")).hexdigest()[:16]

@@ -1,0 +1,128 @@
+"""The process that holds the model, seen from its parent: from its start to its end."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import select
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dualbrain.planner import protocol
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.backends.stderr_tail import LastWords, ending
+
+_CHILD = Path(__file__).with_name("llama_worker.py")
+
+
+@dataclass(frozen=True, slots=True)
+class Worn:
+    """An adapter in llama.cpp: its GGUF-LoRA file, its `id` (content), how strongly it acts (1: as it was fitted)."""
+
+    path: Path
+    id: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LlamaConfig:
+    """How the model runs.
+
+    `threads`: 1 beside a control loop, more only on idle cores. `n_ctx` and `max_tokens` in tokens (eight actions fit).
+    `timeout_s`: for one proposal, including the load of the model [s]. `prefixes`: an existing folder in which the
+    state after the unchanging part of the prompt is kept, so that the next process need not read it again.
+    """
+
+    threads: int = 1
+    n_ctx: int = 6144
+    max_tokens: int = 640
+    timeout_s: float = 600.0
+    prefixes: Path | None = None
+
+
+DEFAULTS = LlamaConfig()
+
+
+class LlamaProcess:
+    """One process for one model and one set of adapters; no adapter can be added to it, or changed by anybody else.
+
+    It listens on loopback only, behind a random key. Adapters do nothing until a request names them.
+    """
+
+    def __init__(self, model: Path, config: LlamaConfig, adapters: tuple[Worn, ...] = ()) -> None:
+        """Start it; it loads while the caller goes on."""
+        self.key = secrets.token_urlsafe(24)
+        self.asked: str | None = None
+        """The rules that it has read last, as `PrefixStore.rules` tells them."""
+        self._address = ""
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(_CHILD)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the parent, which ends the child in order
+        )
+        assert self._process.stderr is not None
+        self._words = LastWords(self._process.stderr, without=self.key)
+        settings: dict[str, Any] = {"model": str(model), "n_ctx": config.n_ctx, "threads": config.threads}
+        settings |= {"key": self.key, "prefixes": f"{config.prefixes}/" if config.prefixes else ""}
+        settings["adapters"] = [str(one.path) for one in adapters]
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # it died at once: `address` will say so
+            self._process.stdin.write(json.dumps(settings).encode() + b"\n")
+            self._process.stdin.flush()
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def ready(self) -> bool:
+        """Whether it has said where it listens."""
+        return bool(self._address)
+
+    def died(self) -> bool:
+        """Whether it has ended; a socket breaks a moment before its process is gone."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=0.5)
+        return self._process.poll() is not None
+
+    def crashed(self) -> Answer:
+        """Why there is no answer of a process that has ended: how it ended, and its last words."""
+        told = (ending(self._process.wait()), self._words.told())
+        return Answer("", protocol.CRASHED, ": ".join(filter(None, told)))
+
+    def address(self, timeout_s: float) -> tuple[str, Answer | None]:
+        """Where the child listens, or why it does not; waits while it loads."""
+        if self._address:
+            return self._address, None
+        out = self._process.stdout
+        assert out is not None
+        if not select.select([out], [], [], timeout_s)[0]:
+            return "", Answer("", protocol.TIMEOUT)
+        line = out.readline()
+        try:
+            told = json.loads(line)
+        except ValueError:  # it died before it, or in the midst of it
+            self._process.wait()
+            return "", self.crashed()
+        self._address = told.get("address", "")
+        return self._address, None if self._address else Answer("", protocol.ERROR, told["error"])
+
+    def close(self) -> None:
+        """Close its input, which ends it; kill it when it does not answer to that."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+        self._words.close()

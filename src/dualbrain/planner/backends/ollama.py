@@ -1,0 +1,57 @@
+"""Ollama's own chat interface: the schema goes into `format`, the size of the context into `options`.
+
+Its OpenAI-compatible one takes a schema too, but cuts a prompt that is longer than its small default context without a
+word; here the context is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from dualbrain.planner import protocol
+from dualbrain.planner.backends.http_chat import Answer, count, excerpt
+from dualbrain.planner.prompt.full_prompt import Message
+
+N_CTX = 8192
+"""Tokens of context: the full prompt with its exemplars and the longest answer fit."""
+NANO = 1e-9
+
+
+def chat_address(url: str) -> str:
+    """Where it is asked: beside the `/v1` of its other interface."""
+    return url.rstrip("/").removesuffix("/v1") + "/api/chat"
+
+
+def chat_body(model: str, messages: list[Message], max_tokens: int, schema: dict[str, Any]) -> dict[str, Any]:
+    """A question that is to be answered in the form of `schema`."""
+    options = {"temperature": 0.0, "seed": 0, "num_predict": max_tokens, "num_ctx": N_CTX}
+    return {"model": model, "messages": messages, "stream": False, "format": schema, "options": options}
+
+
+def read_chat(data: bytes) -> Answer:
+    """The message of its answer."""
+    try:
+        told = json.loads(data)
+        content, reason = told["message"]["content"], told.get("done_reason")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return Answer("", protocol.ERROR, "not an answer of Ollama")
+    figures = _figures(told)
+    if not isinstance(content, str) or told.get("done") is not True:
+        return Answer("", protocol.ERROR, "no whole text in the answer", figures)
+    match reason:
+        case "stop":
+            return Answer(content, protocol.STOP, figures=figures)
+        case "length":
+            return Answer(content, protocol.LENGTH, figures=figures)
+        case _:
+            return Answer("", protocol.ERROR, f"finish reason {excerpt(str(reason))}", figures)
+
+
+def _figures(told: dict[str, Any]) -> dict[str, float]:
+    names = {
+        "prefill": ("prompt_eval_duration", NANO), "decode": ("eval_duration", NANO),
+        "prompt_tokens": ("prompt_eval_count", 1.0), "output_tokens": ("eval_count", 1.0),
+    }  # fmt: skip
+    found = {name: (count(told.get(key)), scale) for name, (key, scale) in names.items()}
+    return {name: value * scale for name, (value, scale) in found.items() if value is not None}

@@ -1,0 +1,1 @@
+"""Grammars for constrained decoding, generated from the contract schema."""

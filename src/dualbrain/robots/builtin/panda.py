@@ -1,0 +1,135 @@
+"""The facts of the Franka Emika Panda with its hand that are written by hand; generate.py adds spheres and pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.assets.meshes import Mesh, collision_mesh
+from dualbrain.robots.collision_model.fit_problem import LinkCover
+from dualbrain.robots.model import Bound, Gripper, Joint, Link, Quaternion, Tool, Vector
+
+SOURCE: str = "example-robot-data 6.0.0, panda_description (from franka_ros, franka_description)"
+LICENCE: str = "Apache-2.0"
+URDF = "panda.urdf"
+FCI = "Franka FCI documentation, joint acceleration limits (libfranka kMaxJointAcceleration)"
+FCI_JERK = "Franka FCI documentation, joint jerk limits (libfranka kMaxJointJerk)"
+
+ROOT_HALF = 0.7071067811865476
+TURN: dict[str, Quaternion] = {
+    "none": (1.0, 0.0, 0.0, 0.0),
+    "minus": (ROOT_HALF, -ROOT_HALF, 0.0, 0.0),
+    "plus": (ROOT_HALF, ROOT_HALF, 0.0, 0.0),
+}
+"""Quarter turns about local x."""
+
+HAND_TURN: Quaternion = (0.9238795325112867, 0.0, 0.0, -0.3826834323650898)
+"""-45 degrees about z."""
+
+# translation [m], quarter turn, lower [rad], upper [rad], velocity [rad/s], acceleration [rad/s²]
+JOINTS: tuple[tuple[Vector, str, float, float, float, float], ...] = (
+    ((0.0, 0.0, 0.333), "none", -2.8973, 2.8973, 2.175, 15.0),
+    ((0.0, 0.0, 0.0), "minus", -1.7628, 1.7628, 2.175, 7.5),
+    ((0.0, -0.316, 0.0), "plus", -2.8973, 2.8973, 2.175, 10.0),
+    ((0.0825, 0.0, 0.0), "plus", -3.0718, -0.0698, 2.175, 12.5),
+    ((-0.0825, 0.384, 0.0), "minus", -2.8973, 2.8973, 2.61, 15.0),
+    ((0.0, 0.0, 0.0), "plus", -0.0175, 3.7525, 2.61, 20.0),
+    ((0.088, 0.0, 0.0), "plus", -2.8973, 2.8973, 2.61, 20.0),
+)
+
+JERK = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
+"""Joint jerk limits [rad/s³]."""
+
+HOME = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785)
+PERIOD = 0.001
+TOOL_SPEED = Bound(0.4, "m/s", "site policy")
+TOOL = Tool("hand", (0.0, 0.0, 0.1034))
+
+FINGER_LENGTH = 0.0538
+"""Lowest point of the finger below its origin [m] (collision mesh finger.stl)."""
+
+GRIPPER = Gripper(
+    opening=Bound(0.04, "m", f"{URDF}: panda_finger_joint1 limit upper"),
+    force=Bound(60.0, "N", "site policy; the hand's data sheet allows 70 N continuous"),
+    force_min=Bound(5.0, "N", "site policy"),
+    pad_below_tool=round(0.0584 + FINGER_LENGTH - 0.1034, 4),
+    finger_thickness=0.0264,
+)
+
+UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+LEFT, RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
+FRONT, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+
+WRIST = (((0.0, 0.037, 0.0), 0.0535), ((0.0, 0.083, 0.0), 0.058))
+"""Two balls on the wrist cylinder of link5 (radius 50 mm around the axis of joint 6): link7 passes it at 20 mm."""
+
+COVER: dict[str, tuple[LinkCover, ...]] = {
+    "link0": (LinkCover("link0", 3, faces=((DOWN, 0.2),)),),
+    "link1": (LinkCover("link1", 4),),
+    "link2": (LinkCover("link2", 4),),
+    "link3": (LinkCover("link3", 5),),
+    "link4": (LinkCover("link4", 5),),
+    "link5": (LinkCover("link5", 8, placed=WRIST),),
+    "link6": (LinkCover("link6", 5),),
+    "link7": (LinkCover("link7", 8),),
+    "hand": (LinkCover("hand", 30, faces=((DOWN, 0.5),)),),
+    "left_finger": (
+        LinkCover(
+            "finger",
+            16,
+            faces=((DOWN, 0.4), (UP, 1.6), (LEFT, 0.7), (RIGHT, 1.5), (FRONT, 0.85), (BACK, 0.85)),
+            zones=((2, 0.034, 0.06, 2.5), (2, 0.015, 0.034, 1.5), (2, -0.01, 0.01, 0.8)),
+        ),
+    ),
+}
+"""Wanted cover of each link, 104 balls with both fingers; the right finger is the left one turned half around z.
+
+A finger points along +z and its pad faces -y: what bulges there costs gap and grasp, what bulges into the hand costs
+nothing. The base stands on the table, so the underside of link0 is loose.
+"""
+
+STATED_PAIRS = {
+    ("left_finger", "right_finger"): "the gripper's own motion; opposite fingers close on each other by design",
+}
+
+
+def part(name: str) -> Mesh:
+    """One convex part of the cover problem: the collision mesh of that name."""
+    return collision_mesh("panda", name)
+
+
+def mirrored(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ball centres of a right part from those of the left one."""
+    return centres * np.array([-1.0, -1.0, 1.0])
+
+
+def joints() -> tuple[Joint, ...]:
+    """The seven joints with limits and the provenance of each."""
+    made: list[Joint] = []
+    for i, (translation, turn, lower, upper, velocity, acceleration) in enumerate(JOINTS, start=1):
+        entry = f"{URDF}: panda_joint{i} limit"
+        made.append(
+            Joint(
+                f"panda_joint{i}",
+                translation,
+                TURN[turn],
+                Bound(lower, "rad", f"{entry} lower"),
+                Bound(upper, "rad", f"{entry} upper"),
+                Bound(velocity, "rad/s", f"{entry} velocity"),
+                Bound(acceleration, "rad/s^2", FCI),
+                Bound(JERK[i - 1], "rad/s^3", FCI_JERK),
+            )
+        )
+    return tuple(made)
+
+
+def links() -> tuple[Link, ...]:
+    """Base, seven arm links, hand and two fingers."""
+    arm = tuple(Link(f"link{i}", i, "arm") for i in range(8))
+    grip: Vector = (0.0, 0.0, 0.107 + 0.0584)
+    return (
+        *arm,
+        Link("hand", 7, "hand", (0.0, 0.0, 0.107), HAND_TURN),
+        Link("left_finger", 7, "fingers", grip, HAND_TURN, (0.0, 1.0, 0.0)),
+        Link("right_finger", 7, "fingers", grip, HAND_TURN, (0.0, -1.0, 0.0)),
+    )

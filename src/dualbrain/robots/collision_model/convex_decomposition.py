@@ -1,0 +1,122 @@
+"""A solid as few convex parts that together contain it.
+
+A mesh that fills little of its hull is cut across a long axis, where the hulls of both sides are smallest in sum, and
+each side is asked again. The hull of one side's surface contains that side, so nothing is lost; what is lost is
+tightness, and the cover's excess tells it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.assets.mesh_primitives import hull_mesh
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.optional_imports import extra
+
+Array = NDArray[np.float64]
+
+MOST_PARTS = 4
+GAIN = 0.85
+"""A cut is worth it when the two hulls together have at most this share of the one hull's volume."""
+CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
+LOOKED_AT = 2000
+"""Triangles by which cuts are chosen; the cut itself is made through all of them."""
+TINY = 1e-6
+"""Volume [m³] below which nothing is cut."""
+
+
+def convex_parts(mesh: Mesh, most: int = MOST_PARTS) -> list[Mesh]:
+    """At most `most` convex closed meshes whose union contains `mesh`."""
+    whole = hull_mesh(mesh.vertices)
+    if most < 2 or volume(whole) < TINY:
+        return [whole]
+    cut = _best_cut(mesh.triangles, whole)
+    if cut is None:
+        return [whole]
+    left, right = cut
+    first = convex_parts(left, most - 1)
+    return first + convex_parts(right, most - len(first))
+
+
+def volume(mesh: Mesh) -> float:
+    """Volume [m³] of a closed mesh with outward faces: Σ a·(b × c)/6."""
+    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
+    return float(np.sum(np.einsum("fi,fi->f", a, np.cross(b, c)))) / 6.0
+
+
+def _best_cut(triangles: Array, whole: Mesh) -> tuple[Mesh, Mesh] | None:
+    looked = triangles if len(triangles) <= LOOKED_AT else triangles[:: len(triangles) // LOOKED_AT + 1]
+    points = whole.vertices
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    best: tuple[float, Array, float] | None = None
+    size = volume(whole)
+    for axis in axes[:2]:
+        along = points @ axis
+        for share in CUTS:
+            level = float(along.min() + share * np.ptp(along))
+            sides = _sides(looked, axis, level)
+            if sides is None:
+                continue
+            total = sum(_hull_volume(side) for side in sides)
+            if best is None or total < best[0]:
+                best = (total, axis, level)
+    if best is None or best[0] > GAIN * size:
+        return None
+    _, axis, level = best
+    return _side(triangles, axis, level), _side(triangles, -axis, -level)
+
+
+def _sides(triangles: Array, axis: Array, level: float) -> tuple[Array, Array] | None:
+    """Corner points of what lies on each side of the plane axis·x = level, cut edges' points in both."""
+    height = triangles @ axis - level
+    if not ((height > 0).any() and (height < 0).any()):
+        return None
+    crossing = triangles[(height.max(axis=1) > 0) & (height.min(axis=1) < 0)]
+    at = _crossings(crossing, axis, level)
+    flat, high = triangles.reshape(-1, 3), height.ravel()
+    return np.vstack([flat[high <= 0], at]), np.vstack([flat[high >= 0], at])
+
+
+def _crossings(triangles: Array, axis: Array, level: float) -> Array:
+    """Where edges of the triangles (t, 3, 3) meet the plane."""
+    start, end = triangles.reshape(-1, 3), np.roll(triangles, -1, axis=1).reshape(-1, 3)
+    below, above = start @ axis - level, end @ axis - level
+    cuts = below * above < 0
+    share = below[cuts] / (below[cuts] - above[cuts])
+    return start[cuts] + share[:, None] * (end[cuts] - start[cuts])
+
+
+def _hull_volume(points: Array) -> float:
+    spatial: Any = extra("scipy.spatial")
+    if len(points) < 4:
+        return 0.0
+    try:
+        return float(spatial.ConvexHull(points).volume)
+    except spatial.QhullError:
+        return 0.0
+
+
+def _side(triangles: Array, axis: Array, level: float) -> Mesh:
+    """What lies at axis·x ≥ level, crossing triangles clipped, as loose triangles."""
+    height = triangles @ axis - level
+    whole, crossing = triangles[height.min(axis=1) >= 0], (height.max(axis=1) > 0) & (height.min(axis=1) < 0)
+    every = np.concatenate([whole, _clip(triangles[crossing], axis, level)])
+    return Mesh(every.reshape(-1, 3), np.arange(3 * len(every)).reshape(-1, 3))
+
+
+def _clip(triangles: Array, axis: Array, level: float) -> Array:
+    """The part of each crossing triangle on the side axis·x ≥ level, as triangles (t, 3, 3)."""
+    made: list[Array] = []
+    for corners in triangles:
+        kept: list[Array] = []
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            ha, hb = float(a @ axis) - level, float(b @ axis) - level
+            if ha >= 0:
+                kept.append(a)
+            if ha * hb < 0:
+                kept.append(a + ha / (ha - hb) * (b - a))
+        made += [np.array([kept[0], kept[i], kept[i + 1]]) for i in range(1, len(kept) - 1)]
+    return np.array(made).reshape(-1, 3, 3)

@@ -1,0 +1,65 @@
+"""Convex solids as intersections of half-spaces, and points on the surface of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.optional_imports import extra
+
+Array = NDArray[np.float64]
+
+CONVEX_TOLERANCE = 1e-3
+"""A mesh counts as convex when no face lies deeper than this [m] inside its hull."""
+
+
+@dataclass(frozen=True, slots=True)
+class Polytope:
+    """The solid {x : normals @ x <= offsets}: unit outward `normals` (k, 3), `offsets` (k,) [m]."""
+
+    normals: Array
+    offsets: Array
+
+    def slack(self, points: Array) -> Array:
+        """Distance of each point to each face plane, positive inside [m]: (p, k) for points (p, 3)."""
+        return self.offsets - points @ self.normals.T
+
+    def depth(self, points: Array) -> Array:
+        """How deep each point lies inside [m], (p,); negative outside (then a lower bound of minus the distance).
+
+        For c inside, the ball (c, r) reaches exactly r - depth(c) beyond the solid: at least, because the nearest face
+        is a supporting plane; at most, because the distance to a solid is 1-Lipschitz.
+        """
+        return np.min(self.slack(points), axis=1)
+
+
+def convex_hull(mesh: Mesh) -> Polytope:
+    """Hull of `mesh`, equal face planes merged.
+
+    Raises:
+        InvalidSetup: the mesh is not convex to within `CONVEX_TOLERANCE`, so a hull would not describe it.
+    """
+    hull = extra("scipy.spatial").ConvexHull(mesh.vertices)
+    planes = np.unique(np.round(np.asarray(hull.equations, dtype=np.float64), 9), axis=0)
+    polytope = Polytope(planes[:, :3], -planes[:, 3])
+    deepest = float(np.max(polytope.depth(mesh.triangles.mean(axis=1))))
+    if deepest > CONVEX_TOLERANCE:
+        raise InvalidSetup(
+            "collision mesh",
+            got=f"a face {deepest * 1e3:.1f} mm inside its own hull",
+            allowed=f"convex to {CONVEX_TOLERANCE * 1e3:.1f} mm",
+            fix="Split it into convex parts first.",
+        )
+    return polytope
+
+
+def surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> Array:
+    """`count` points (count, 3) spread uniformly by area over the surface of `mesh`."""
+    faces = rng.choice(len(mesh.faces), size=count, p=mesh.areas / mesh.areas.sum())
+    a, b, c = np.moveaxis(mesh.triangles[faces], 1, 0)
+    s, t = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return (1 - s) * a + s * (1 - t) * b + s * t * c

@@ -1,0 +1,116 @@
+"""Which pairs of links the filter keeps apart, and an honest reason for each pair that it does not.
+
+Generator only: the small numpy kinematics here makes data and never runs beside the kernel's.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.collision_model.coverage import Balls
+from dualbrain.robots.model import Joint, Link, SelfPairs
+
+Array = NDArray[np.float64]
+
+NEVER = 0.030
+"""A pair that stays farther apart than this [m] in all sampled configurations needs no row."""
+
+
+def rotation(quaternion: tuple[float, float, float, float]) -> Array:
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def chain_frames(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
+    """Chain frames of a batch of configurations q (m, n): rotations (m, n + 1, 3, 3), origins (m, n + 1, 3).
+
+    T_i = T_(i-1) [R_i t_i; 0 1] Rot_z(q_i), or Trans_z(q_i) of a prismatic joint; frame 0 is the base.
+    """
+    m, n = q.shape
+    turns, origins = np.empty((m, n + 1, 3, 3)), np.zeros((m, n + 1, 3))
+    turns[:, 0] = np.eye(3)
+    for i, joint in enumerate(joints):
+        slides = joint.kind == "prismatic"
+        angle, zero = np.zeros(m) if slides else q[:, i], np.zeros(m)
+        c, s = np.cos(angle), np.sin(angle)
+        about_z = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], axis=1).reshape(m, 3, 3)
+        origins[:, i + 1] = origins[:, i] + turns[:, i] @ np.array(joint.translation)
+        turns[:, i + 1] = turns[:, i] @ rotation(joint.quaternion) @ about_z
+        if slides:
+            origins[:, i + 1] += q[:, i, None] * turns[:, i + 1, :, 2]
+    return turns, origins
+
+
+def placed_centres(link: Link, centres: Array, turns: Array, origins: Array, opening: float) -> Array:
+    """World positions (m, b, 3) of ball centres (b, 3) given in the frame of `link`, at finger `opening` [m]."""
+    local = (centres + opening * np.array(link.slide)) @ rotation(link.quaternion).T + np.array(link.translation)
+    return np.einsum("mij,bj->mbi", turns[:, link.frame], local) + origins[:, link.frame, None]
+
+
+def link_clearance(a: Array, b: Array, radii_a: Array, radii_b: Array) -> Array:
+    """Smallest gap [m] between two placed sets of balls, (m,); negative where they overlap."""
+    square = np.sum(a**2, axis=2)[:, :, None] + np.sum(b**2, axis=2)[:, None] - 2 * a @ b.transpose(0, 2, 1)
+    gaps = np.sqrt(np.maximum(square, 0)) - (radii_a[:, None] + radii_b[None])
+    return np.min(gaps, axis=(1, 2))
+
+
+def random_configurations(joints: tuple[Joint, ...], count: int, rng: np.random.Generator) -> Array:
+    """`count` configurations, uniform within the joint limits, (count, n) [rad]."""
+    low = np.array([joint.lower.value for joint in joints])
+    high = np.array([joint.upper.value for joint in joints])
+    return low + (high - low) * rng.random((count, len(joints)))
+
+
+def least_clearances(
+    joints: tuple[Joint, ...], links: tuple[Link, ...], cover: dict[str, Balls], q: Array, openings: tuple[float, ...]
+) -> dict[tuple[str, str], float]:
+    """Smallest gap [m] of every pair of links over configurations q (m, n) and finger openings [m]."""
+    least = {(a.name, b.name): np.inf for a, b in combinations(links, 2)}
+    for batch in np.array_split(q, max(1, len(q) // 2000)):
+        turns, origins = chain_frames(joints, batch)
+        for opening in openings:
+            at = {link.name: placed_centres(link, cover[link.name].centres, turns, origins, opening) for link in links}
+            for (a, b), before in least.items():
+                gap = link_clearance(at[a], at[b], cover[a].radii, cover[b].radii)
+                least[a, b] = min(before, float(gap.min()))
+    return least
+
+
+def choose_pairs(
+    joints: tuple[Joint, ...],
+    links: tuple[Link, ...],
+    cover: dict[str, Balls],
+    *,
+    stated: dict[tuple[str, str], str],
+    count: int,
+    rng: np.random.Generator,
+    opening: float,
+) -> SelfPairs:
+    """Keeps every pair of links that is neither adjacent, nor `stated` as allowed, nor measured to stay apart.
+
+    Two links are adjacent when they ride on the same or on consecutive chain frames. The measured reason carries the
+    smallest gap over `count` random configurations with the fingers closed and open by `opening` [m] each.
+    """
+    least = least_clearances(joints, links, cover, random_configurations(joints, count, rng), (0.0, opening))
+    kept: list[tuple[str, str]] = []
+    allowed: list[tuple[str, str, str]] = []
+    for (a, b), gap in least.items():
+        first, second = (next(link for link in links if link.name == name) for name in (a, b))
+        reason = stated.get((a, b), "adjacent" if abs(first.frame - second.frame) <= 1 else "")
+        if not reason and gap > NEVER:
+            reason = f"never closer than {gap * 1e3:.0f} mm in {count} random configurations"
+        if reason:
+            allowed.append((a, b, reason))
+        else:
+            kept.append((a, b))
+    return SelfPairs(tuple(kept), tuple(allowed))

@@ -1,0 +1,85 @@
+"""A body with two wheels: it drives along its own x axis and turns about its z axis.
+
+Its control is (v, ω) [m/s, rad/s], its configuration (x, y, θ) [m, m, rad]. In its own frame the base is a chain of a
+slide along x and a turn about z, both at zero, so that a point p of the footprint moves at v e_x + ω e_z × p: discs off
+the axle make every barrier row depend on ω as well, and the filter steers instead of only braking (design 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.model import Body, BodySphere, Bound, Gripper, Joint, Link, SelfPairs, Tool, Tracking, Vector
+
+Array = NDArray[np.float64]
+
+RANGE = 10.0
+"""The chain's own joints are always at zero; their range only must not bind [m, rad]."""
+TURN_Z_TO_X = (sqrt(0.5), 0.0, sqrt(0.5), 0.0)
+TURN_X_TO_Z = (sqrt(0.5), 0.0, -sqrt(0.5), 0.0)
+
+
+def differential_base(
+    name: str, discs: Sequence[tuple[float, float, float]], *, speed: Bound, turn: Bound, acceleration: Bound,
+    turn_acceleration: Bound, tracking: Tracking, period: float = 0.02, licence: str = "Apache-2.0",
+    source: str = "given by the user",
+) -> Body:  # fmt: skip
+    """A base whose footprint is covered by `discs` (x, y, radius) [m] in its own frame.
+
+    Keep the discs off the axle (x ≠ 0 for most): a disc on it cannot be steered away by turning.
+    """
+    none = Bound(0.0, "m", "no gripper")
+    return Body(
+        name=name, source=source, licence=licence,
+        joints=(
+            _joint("drive", TURN_Z_TO_X, "prismatic", speed, acceleration),
+            _joint("turn", TURN_X_TO_Z, "revolute", turn, turn_acceleration),
+        ),
+        links=(Link("base", 2, "base"),),
+        spheres=tuple(BodySphere("base", (x, y, 0.0), radius) for x, y, radius in discs),
+        self_pairs=SelfPairs((), ()), tool=Tool("base", (0.0, 0.0, 0.0)),
+        gripper=Gripper(none, none, none, 0.0, 0.0), home=(0.0, 0.0, 0.0), tracking=tracking, period=period,
+        tool_speed=speed, base="differential",
+    )  # fmt: skip
+
+
+def pose(q: Array) -> tuple[Array, Vector]:
+    """Rotation (3, 3) and position (3,) of the base at q = (x, y, θ)."""
+    c, s = cos(q[2]), sin(q[2])
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), (float(q[0]), float(q[1]), 0.0)
+
+
+def drive(q: Array, u: Array, dt: float) -> Array:
+    """Configuration (n + 1,) after `dt` [s] at constant u = (v, ω, …): exactly along the arc."""
+    base = arc(float(q[0]), float(q[1]), float(q[2]), float(u[0]), float(u[1]), dt)
+    return np.array([*base, *(q[3:] + dt * u[2:])])
+
+
+def arc(x: float, y: float, heading: float, v: float, w: float, dt: float) -> Vector:
+    """Where a base that stands at (x, y, heading) is after `dt` [s] at constant (v, ω)."""
+    half = 0.5 * w * dt
+    chord = v * dt * (sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * cos(heading + half), y + chord * sin(heading + half), heading + w * dt
+
+
+def driven_by(before: Array, after: Array) -> Array:
+    """What the controls (v, ω, …) moved between two configurations (n + 1,): along the heading, about z, the rest.
+
+    What a base slid sideways is not in it.
+    """
+    x, y, turn, *rest = (after - before).tolist()
+    heading = float(before[2]) + 0.5 * turn
+    return np.array([x * cos(heading) + y * sin(heading), turn, *rest])
+
+
+def _joint(name: str, quaternion: tuple[float, float, float, float], kind: str, speed: Bound, change: Bound) -> Joint:
+    unit = "m" if kind == "prismatic" else "rad"
+    lower, upper = (Bound(side * RANGE, unit, "never reached: the base frame moves along") for side in (-1.0, 1.0))
+    return Joint(
+        name, (0.0, 0.0, 0.0), quaternion, lower, upper, speed, change,
+        kind="prismatic" if kind == "prismatic" else "revolute",
+    )  # fmt: skip

@@ -1,0 +1,161 @@
+"""URDF, read by yourdfpy after the file has been found harmless; lines for provenance come from lxml."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.robots.assets import mesh_primitives
+from dualbrain.robots.assets.mesh_paths import Folders, folders_of
+from dualbrain.robots.assets.safe_xml import parse_xml, read_bytes, read_xml
+from dualbrain.robots.importer.kinematic_tree import MOVING, Mimic, Piece, Tree, TreeJoint, TreeLink
+from dualbrain.robots.optional_imports import extra
+
+Array = NDArray[np.float64]
+
+KINDS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
+
+
+def read_urdf(file: Path, packages: Sequence[Path] = ()) -> Tree:
+    """The robot in the URDF `file`; meshes are looked for beside it and in `packages`, and read when asked for.
+
+    Raises:
+        InvalidSetup: the file is hostile, not well-formed, not a URDF, or not a tree of joints.
+        MissingPart: a package or mesh is not there, or a library is not installed.
+    """
+    data, root = read_xml(file)
+    if root.tag != "robot":
+        raise InvalidSetup(f"root element of {file.name}", got=f"<{root.tag}>", allowed="<robot>, or <mujoco> in MJCF")
+    if root.xpath("boolean(//*[contains(namespace-uri(), 'xacro')])"):
+        raise InvalidSetup(file.name, got="xacro macros", allowed="plain URDF", fix="Expand it first: xacro FILE > OUT")
+    robot = _parsed(data, file)
+    lines = {(element.tag, element.get("name")): element.sourceline for element in root.iterchildren("joint", "link")}
+    folders = folders_of(file, packages)
+    links = [_link(link, folders, f"{file.name}:{lines['link', link.name]}") for link in robot.links]
+    joints = [_joint(joint, f"{file.name}:{lines['joint', joint.name]}") for joint in robot.joints]
+    _once(file, "link", [link.name for link in links])
+    _once(file, "joint", [joint.name for joint in joints])
+    drawn = [link.name for link in links if link.drawn]
+    notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
+    return Tree(
+        robot.name or file.stem, file.name, _licence(folders), {link.name: link for link in links}, tuple(joints), notes
+    ).checked()  # fmt: skip
+
+
+def _parsed(data: bytes, file: Path) -> Any:
+    """Yourdfpy's robot; what it cannot read is told with its own words."""
+    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
+    try:
+        reader = extra("yourdfpy").URDF.load(BytesIO(data), build_scene_graph=False, load_meshes=False)
+    except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
+        raise InvalidSetup(file.name, got=f"{type(error).__name__}: {error}"[:300], allowed="a URDF") from error
+    return reader.robot
+
+
+def _once(file: Path, what: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidSetup(f"{what}s of {file.name}", got=f"{twice} more than once", allowed="each name once")
+
+
+def _licence(folders: Folders) -> str:
+    """The licence that the package.xml beside the description states."""
+    package = folders.own / "package.xml"
+    if not package.is_file():
+        return "not stated by the description"
+    words = [element.text or "" for element in parse_xml(read_bytes(package), package.name).iter("license")]
+    return ", ".join(word.strip() for word in words if word.strip()) or "not stated by its package.xml"
+
+
+# --- links --------------------------------------------------------------------------------------------------------
+
+
+def _link(link: Any, folders: Folders, where: str) -> TreeLink:
+    pieces = tuple(_piece(shape, folders, where) for shape in link.collisions)
+    if pieces:
+        return TreeLink(link.name, pieces)
+    drawn = tuple(_piece(shape, folders, where) for shape in link.visuals)
+    return TreeLink(link.name, drawn, bool(drawn))
+
+
+def _piece(shape: Any, folders: Folders, where: str) -> Piece:
+    geometry, pose = shape.geometry, _pose(shape.origin, where)
+    if geometry is None:
+        raise InvalidSetup(f"shape at {where}", got="no geometry", allowed="box, cylinder, sphere or mesh")
+    if geometry.box is not None:
+        size = _numbers(geometry.box.size, 3, where)
+        return Piece("box", partial(mesh_primitives.box, size / 2.0, pose))
+    if geometry.cylinder is not None:
+        radius, length = _numbers([geometry.cylinder.radius, geometry.cylinder.length], 2, where)
+        return Piece("cylinder", partial(mesh_primitives.cylinder, float(radius), float(length) / 2.0, pose))
+    if geometry.sphere is not None:
+        (radius,) = _numbers([geometry.sphere.radius], 1, where)
+        return Piece("sphere", partial(mesh_primitives.ellipsoid, np.full(3, float(radius)), pose))
+    if geometry.mesh is None:
+        raise InvalidSetup(f"shape at {where}", got="unknown geometry", allowed="box, cylinder, sphere or mesh")
+    name = str(geometry.mesh.filename)
+    scale = np.ones(3) if geometry.mesh.scale is None else _scale(geometry.mesh.scale, where)
+    return Piece(f"mesh {name}", lambda: mesh_primitives.mesh_file(folders.find(name, where), scale, pose))
+
+
+def _scale(value: Any, where: str) -> Array:
+    flat = np.atleast_1d(np.asarray(value, float))
+    return _numbers(np.broadcast_to(flat, (3,)) if flat.size == 1 else flat, 3, where)
+
+
+# --- joints -------------------------------------------------------------------------------------------------------
+
+
+def _joint(joint: Any, where: str) -> TreeJoint:
+    if joint.type not in KINDS:
+        raise InvalidSetup(f"type of joint {joint.name!r} ({where})", got=joint.type, allowed=", ".join(KINDS))
+    axis = _numbers([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, 3, where)
+    size = float(np.linalg.norm(axis))
+    if joint.type in MOVING and size < 1e-9:
+        raise InvalidSetup(f"axis of joint {joint.name!r} ({where})", got=axis.tolist(), allowed="not zero")
+    limit, follows = joint.limit, joint.mimic
+    mimic = None if follows is None else Mimic(
+        str(follows.joint), 1.0 if follows.multiplier is None else float(follows.multiplier),
+        0.0 if follows.offset is None else float(follows.offset),
+    )  # fmt: skip
+    bounded = joint.type in ("revolute", "prismatic")
+    lower, upper, velocity = (
+        (None, None, None) if limit is None else (_bound(value, where) for value in _limits(limit, bounded))
+    )
+    return TreeJoint(
+        joint.name, joint.type, joint.parent, joint.child, _pose(joint.origin, where),
+        axis / size if size > 0.0 else axis, where, lower, upper, velocity, None, mimic,
+        None if limit is None else _bound(limit.effort, where),
+    )  # fmt: skip
+
+
+def _limits(limit: Any, bounded: bool) -> tuple[Any, Any, Any]:
+    """Lower, upper, velocity; a range that is left out counts as [0, 0] in URDF, which no joint that moves can mean."""
+    lower, upper = (limit.lower or 0.0, limit.upper or 0.0) if bounded else (None, None)
+    return (None, None, limit.velocity) if lower == upper else (lower, upper, limit.velocity)
+
+
+def _bound(value: Any, where: str) -> float | None:
+    return None if value is None else float(_numbers([value], 1, where)[0])
+
+
+def _pose(origin: Any, where: str) -> Array:
+    if origin is None:
+        return np.eye(4)
+    return _numbers(np.ravel(origin), 16, where).reshape(4, 4)
+
+
+def _numbers(values: Any, count: int, where: str) -> Array:
+    """`count` finite numbers."""
+    flat = np.asarray(values, float).ravel()
+    if len(flat) != count or not np.isfinite(flat).all():
+        raise InvalidSetup(f"numbers at {where}", got=flat.tolist()[:8], allowed=f"{count} finite numbers")
+    return flat

@@ -1,0 +1,60 @@
+"""The robot as the local layer sees it: read a state, write a command, stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.model import Body
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """Joint state at `stamp` [s]: q [rad] and v [rad/s] of shape (n,), finger opening [m each], finger forces [N]."""
+
+    stamp: float
+    sequence: int
+    q: Array
+    v: Array
+    opening: float
+    finger_forces: tuple[float, float]
+    drive_enabled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Joint velocity u [rad/s] of shape (n,), wanted finger opening [m each] and grip force limit [N]."""
+
+    u: Array
+    opening: float
+    force: float
+
+
+class Robot(Protocol):
+    """A driver or a plant. `write` holds until the next write; `stop` disables the drive and engages the brakes."""
+
+    def read(self) -> RobotState:
+        """The newest measured state."""
+        ...
+
+    def write(self, command: Command) -> None:
+        """Apply `command` from now on; ignored (and reported by `read().drive_enabled`) while the drive is disabled."""
+        ...
+
+    def stop(self) -> None:
+        """Disable the drive (stop category 0): brakes engage and stay engaged until the robot is enabled again."""
+        ...
+
+    def enable(self) -> None:
+        """Release the brakes with a velocity command of zero; only the supervisor's order decides when."""
+        ...
+
+
+def at_home(body: Body) -> RobotState:
+    """The state of `body` at rest in its home posture with open fingers, at time 0."""
+    return RobotState(0.0, 0, np.array(body.home), np.zeros(body.n), body.gripper.opening.value, (0.0, 0.0))

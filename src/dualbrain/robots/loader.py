@@ -1,0 +1,125 @@
+"""Is the data of a body whole? Asked of every body that does not ship with dualbrain: people edit these files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from math import isfinite
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.errors import UNREADABLE, InvalidSetup, UnknownName
+from dualbrain.robots.model import Body, Joint
+
+BODIES = ("panda", "fr3", "ur5e", "base", "mobile_panda")
+
+Fault = tuple[str, object, str]
+FILE = "body.json"
+LARGEST = 4 * 2**20
+
+
+def load_body(name: str) -> Body:
+    """The body called `name`, or the one in a folder or file that `name` leads to ("./my_robot").
+
+    Raises:
+        UnknownName: there is no such body, and no such path.
+        InvalidSetup: what lies there is not a whole body.
+    """
+    if name in BODIES:
+        return _shipped(name)
+    path = Path(name)
+    if path.exists() or path.suffix == ".json" or len(path.parts) > 1:
+        return read_body(path)
+    raise UnknownName("robot", name, BODIES)
+
+
+@lru_cache
+def _shipped(name: str) -> Body:
+    return msgspec.json.decode(data_file(name).read_bytes(), type=Body)
+
+
+def data_file(name: str) -> Traversable:
+    """Where the data of the body called `name` is kept, whether or not it is there yet."""
+    return resources.files("dualbrain.robots").joinpath("data", f"{name}.json")
+
+
+def encode(body: Body) -> bytes:
+    """The data file of `body`: indented JSON with a final newline."""
+    return msgspec.json.format(msgspec.json.encode(body), indent=1) + b"\n"
+
+
+def read_body(path: Path) -> Body:
+    """The body in the JSON file `path`, or in the folder `path` that `dualbrain robot init` made.
+
+    Raises:
+        InvalidSetup: it is not there, not a body, or not whole; the message names the entry.
+    """
+    file = path / FILE if path.is_dir() else path
+    if not file.is_file() or file.stat().st_size > LARGEST:
+        raise InvalidSetup("robot", got=str(path), allowed=f"a known name, a folder with {FILE}, or a body's JSON file")
+    try:
+        body = msgspec.json.decode(file.read_bytes(), type=Body)
+    except UNREADABLE as error:
+        raise InvalidSetup(file.name, got=str(error), allowed="JSON of a body", fix=str(file)) from error
+    for what, got, allowed in faults(body):
+        raise InvalidSetup(f"{what} in {file.name}", got=got, allowed=allowed, fix=str(file))
+    return body
+
+
+def faults(body: Body) -> Iterator[Fault]:
+    """What is wrong with `body`: (entry, got, allowed), one by one."""
+    if not body.joints:
+        yield "joints", 0, "at least one"
+    for joint in body.joints:
+        yield from _joint_faults(joint)
+    yield from _link_faults(body)
+    yield from _sphere_faults(body)
+    if not 0.0 < body.period <= 1.0:
+        yield "period", body.period, "above 0, at most 1 s"
+    if body.gain is not None and not body.gain.value > 0.0:
+        yield "gain", body.gain.value, "above 0"
+    if len(body.home) != body.width:
+        yield "home", list(body.home), f"{body.width} values: of a base x, y and heading, then one for each joint"
+
+
+def _link_faults(body: Body) -> Iterator[Fault]:
+    names = [link.name for link in body.links]
+    if len(set(names)) != len(names):
+        yield "links", names, "each name once"
+    for link in body.links:
+        if not 0 <= link.frame <= body.n:
+            yield f"frame of link {link.name!r}", link.frame, f"0 to {body.n}"
+        yield from _quaternion_faults(f"link {link.name!r}", link.quaternion)
+    paired = {name for pair in body.self_pairs.kept for name in pair}
+    for what, used in (("a self-collision pair", paired), ("the tool", {body.tool.link})):
+        for name in sorted(used - set(names)):
+            yield f"link of {what}", name, ", ".join(names)
+
+
+def _sphere_faults(body: Body) -> Iterator[Fault]:
+    names = {link.name for link in body.links}
+    for sphere in body.spheres:
+        if sphere.link not in names:
+            yield "link of a sphere", sphere.link, ", ".join(sorted(names))
+        if not (0.0 < sphere.radius < 10.0 and all(map(isfinite, sphere.centre))):
+            yield f"sphere of {sphere.link!r}", (sphere.centre, sphere.radius), "finite centre, radius within 0 to 10 m"
+
+
+def _joint_faults(joint: Joint) -> Iterator[Fault]:
+    where = f"joint {joint.name!r}"
+    if not (isfinite(joint.lower.value) and isfinite(joint.upper.value) and joint.lower.value < joint.upper.value):
+        yield f"range of {where}", (joint.lower.value, joint.upper.value), "lower below upper"
+    for side in ("velocity", "acceleration"):
+        value = getattr(joint, side).value
+        if not (isfinite(value) and value > 0.0):
+            yield f"{side} of {where}", value, "above 0"
+    yield from _quaternion_faults(where, joint.quaternion)
+
+
+def _quaternion_faults(where: str, quaternion: tuple[float, float, float, float]) -> Iterator[Fault]:
+    size = sum(value * value for value in quaternion)
+    if not abs(size - 1.0) < 1e-6:
+        yield f"quaternion of {where}", quaternion, "of length 1 (w, x, y, z)"

@@ -1,0 +1,1 @@
+"""Collection of training episodes: rollouts, starter data set, synthetic scenes."""

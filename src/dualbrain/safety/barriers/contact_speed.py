@@ -1,0 +1,49 @@
+"""contact: where a skill's permit allows touching, the pair may meet no faster than the permit says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dualbrain.core.geometry.shapes import Box, Pose
+from dualbrain.safety.barriers.barrier import Array, Barrier, Trial
+from dualbrain.safety.barriers.scenarios import arm_filter, home, tool_push
+from dualbrain.safety.cbf.obstacles import Contact, Obstacle
+from dualbrain.safety.cbf.rows import Rank
+
+SPEED = 0.03
+
+
+def _trial() -> Trial:
+    safety = arm_filter()
+    start = home(safety)
+    x, y, z = safety.tool(start).position.tolist()
+    top = z - 0.06
+    safety.observe([Obstacle("block", Box((0.1, 0.1, 0.1)), Pose((x, y, top - 0.1)))])
+    safety.permit([Contact("fingers", "block", SPEED), Contact("hand", "block", SPEED)])
+    fingers = [i for i, group in enumerate(safety.spheres(start, 0.0)[2]) if group == "fingers"]
+
+    def h(q: Array, u: Array) -> float:
+        """Room to the permitted speed: the fingers' speed downward against max(speed, α distance)."""
+        dt = 1e-3
+        here, radii, _ = safety.spheres(q, 0.0)
+        there, _, _ = safety.spheres(q + dt * u, 0.0)
+        down = (here[fingers, 2] - there[fingers, 2]) / dt
+        gap = here[fingers, 2] - radii[fingers] - top
+        allowed = np.maximum(SPEED, safety.body.alpha * np.maximum(gap, 0.0))
+        return float(np.min(allowed - down) + 1e-3)
+
+    return Trial(safety, start, tool_push(safety, (0.0, 0.0, -1.0)), h, seconds=0.6)
+
+
+BARRIER = Barrier(
+    name="contact",
+    says="a permitted pair may touch, but meets no faster than the permit's speed",
+    h="the permitted approach speed less the actual one",
+    row="n'(J u − v_o) ≥ −max(speed, α h)",
+    rank=Rank.OBSTACLE,
+    alpha="as obstacle",
+    margins=("sampling", "rounding"),
+    source="design: contact permits by phase, declared by the skill, never by the contract",
+    where="safety/cbf/obstacles.py onto kernel/src/dbk_meet.c",
+    trial=_trial,
+)

@@ -1,0 +1,60 @@
+"""Parts of trials: the Panda with few spheres, and a tool that pushes in one direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.differential_drive import drive
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.filter import FilterConfig, LiveBarrier, SafetyFilter
+
+Array = NDArray[np.float64]
+
+EXACT = FilterConfig(lag_compensation=False, tracking_error=0.0)
+"""For closed loops in which ẏ = u holds exactly."""
+
+
+@cache
+def arm() -> Body:
+    """The Panda with every fourth sphere: the same kinematics, a quarter of the work."""
+    body = load_body("panda")
+    return msgspec.structs.replace(body, spheres=body.spheres[::4])
+
+
+def arm_filter(config: FilterConfig = EXACT, barriers: Sequence[LiveBarrier] = ()) -> SafetyFilter:
+    """A filter for that arm."""
+    return SafetyFilter(arm(), config, barriers=barriers)
+
+
+def tool_push(safety: SafetyFilter, direction: Sequence[float], speed: float = 0.4) -> Callable[[Array], Array]:
+    """u_nom(q) that moves the tool along `direction` (3,) at `speed` [m/s] without turning it."""
+    twist = np.concatenate([speed * np.asarray(direction, float), np.zeros(3)])
+
+    def push(q: Array) -> Array:
+        J = safety.tool(q).jacobian
+        return J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(6), twist)
+
+    return push
+
+
+def centres(safety: SafetyFilter, q: Array, opening: float = 0.0) -> tuple[Array, Array]:
+    """Centres (k, 3) and radii (k,) of the spheres that move."""
+    where, radii, _ = safety.spheres(q, opening)
+    fixed = sum(sphere.link == "link0" for sphere in safety.body.spheres)
+    return where[fixed:], radii[fixed:]
+
+
+def advance(body: Body, q: Array, u: Array) -> Array:
+    """The configuration one period later, ẏ = u exactly."""
+    return drive(q, u, body.period) if body.base == "differential" else q + body.period * u
+
+
+def home(safety: SafetyFilter) -> Array:
+    """The resting posture (n,) [rad]."""
+    return np.array(safety.body.home)

@@ -1,0 +1,110 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dualbrain.safety.cbf.result import Filtered, Names, Status
+
+Array = NDArray[np.float64]
+
+real: str
+source_hash: str
+flags: str
+max_rows: int
+max_joints: int
+max_links: int
+max_pairs: int
+max_obstacles: int
+max_spheres: int
+max_held: int
+max_user: int
+
+class Kernel:
+    def __init__(self, model: dict[str, Any]) -> None: ...
+    def set_obstacles(self, rows: Array) -> None: ...
+    def clear_permits(self) -> None: ...
+    def permit(self, link: int, obstacle: int, speed: float) -> None: ...
+    def attach(self, spheres: Array, error: float) -> None: ...
+    def constrain(self, rows: Array) -> None: ...
+    def stand(self, pose: Array) -> None: ...
+    def reset(self, u_prev: Array) -> None: ...
+    def answer_with(self, type: Callable[..., Filtered], statuses: tuple[Status, ...]) -> None: ...
+    def step(
+        self,
+        q: ArrayLike,
+        v: ArrayLike,
+        u_nom: ArrayLike,
+        opening: float,
+        state_age: float,
+        scene_age: float,
+        names: Names,
+    ) -> Filtered: ...
+    def batch(
+        self,
+        q: Array,
+        v: Array,
+        u_nom: Array,
+        u_prev: Array,
+        opening: Array,
+        scene_age: float,
+        u: Array,
+        status: NDArray[np.int8],
+        delta: Array,
+        h_min: Array,
+    ) -> None: ...
+    def project(
+        self,
+        q: Array,
+        v: Array,
+        wish: Array,
+        u_prev: Array,
+        opening: float,
+        state_age: float,
+        scene_age: float,
+        extra: float,
+        u: Array,
+    ) -> int: ...
+    def tool(self, q: Array, to: Array) -> None: ...
+    def spheres(self, q: Array, opening: float, to: Array) -> int: ...
+    def rows(self) -> list[tuple[int, int, int, float, float, float, tuple[float, ...]]]: ...
+    def box(self) -> tuple[tuple[float, ...], tuple[float, ...]]: ...
+    def closed_loop(
+        self,
+        q: Array,
+        seed: int,
+        hold: int,
+        toward: float,
+        q_log: Array,
+        u_log: Array,
+        status_log: NDArray[np.int8],
+    ) -> dict[str, float]: ...
+    def parts(self) -> tuple[object, object, object]: ...
+    def inside(self, extra: float, known_only: bool) -> dict[str, dict[str, bytes]]: ...
+    def stain(self, byte: int) -> None: ...
+    def time_steps(self, q: Array, u_nom: Array, cold: bool) -> float: ...
+
+def solve_qp(
+    scale: Array, A: Array, b: Array, lower: Array, upper: Array, u_nom: Array, u: Array
+) -> tuple[int, int, tuple[tuple[int, float], ...]]: ...
+def solve_from(
+    scale: Array,
+    A_b_soft: tuple[Array, Array, Array],
+    lower: Array,
+    upper: Array,
+    u_nom: Array,
+    slack: bool,
+    shift: float,
+    warm: list[int],
+    u: Array,
+) -> tuple[int, int, float, tuple[tuple[int, float], ...]]: ...
+def check(A: Array, b: Array, lower: Array, upper: Array, u: Array, tolerance: float) -> bool: ...
+def distance(obstacle: Array, points: Array, d: Array, normals: Array) -> None: ...
+def sincos(x: float) -> tuple[float, float]: ...
+
+class Judge:
+    def __init__(self, body: dict[str, Any]) -> None: ...
+    def look(self, q: Array, things: Array, period: float, to: Array) -> None: ...
+    def trial(
+        self, parts: tuple[object, object, object], things: Array, trial: dict[str, Any], q: Array, q_log: Array
+    ) -> dict[str, Any]: ...

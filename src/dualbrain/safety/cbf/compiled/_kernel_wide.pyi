@@ -1,0 +1,12 @@
+from dualbrain.safety.cbf.compiled._kernel import Judge as Judge
+from dualbrain.safety.cbf.compiled._kernel import Kernel as Kernel
+from dualbrain.safety.cbf.compiled._kernel import distance as distance
+from dualbrain.safety.cbf.compiled._kernel import flags as flags
+from dualbrain.safety.cbf.compiled._kernel import max_joints as max_joints
+from dualbrain.safety.cbf.compiled._kernel import max_links as max_links
+from dualbrain.safety.cbf.compiled._kernel import max_pairs as max_pairs
+from dualbrain.safety.cbf.compiled._kernel import max_spheres as max_spheres
+from dualbrain.safety.cbf.compiled._kernel import real as real
+from dualbrain.safety.cbf.compiled._kernel import sincos as sincos
+from dualbrain.safety.cbf.compiled._kernel import solve_qp as solve_qp
+from dualbrain.safety.cbf.compiled._kernel import source_hash as source_hash

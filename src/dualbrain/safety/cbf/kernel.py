@@ -1,0 +1,244 @@
+"""The only file that knows the compiled kernel: a `Body` becomes the kernel's model, obstacles become its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.model import Body, Joint
+from dualbrain.safety.cbf.compiled import _kernel
+from dualbrain.safety.cbf.compiled._kernel import Kernel
+from dualbrain.safety.cbf.config import FilterConfig
+from dualbrain.safety.cbf.obstacles import Obstacle
+from dualbrain.safety.cbf.result import Filtered, Status
+
+Array = NDArray[np.float64]
+
+MOST_OBSTACLES: int = _kernel.max_obstacles
+"""Room of the obstacle table."""
+SIZES = ("", "_wide")
+"""Suffixes of the builds by size: up to 8 joints, and up to 16."""
+CAPSULE, BOX, HALF_SPACE = 0.0, 1.0, 2.0
+KNOWN, STATIC = 1, 2
+ALL_PARTS = 2**32 - 1
+UNLIMITED = 1e4
+"""Acceleration [rad/s²] that never binds, for a filter without acceleration limits."""
+
+
+def kernel_hash() -> str:
+    """First 16 hex of SHA-256 over the kernel's sources and compiler flags."""
+    return _kernel.source_hash
+
+
+def make_kernel(body: Body, config: FilterConfig, weight: Array | None = None) -> Kernel:
+    """A kernel for `body`; `weight` is R (n, n), symmetric positive definite, by default diag(1/v_max²)."""
+    kernel = build_for(body, config).Kernel(model_of(body, config, weight))
+    kernel.answer_with(Filtered, tuple(Status))
+    return kernel
+
+
+class Build(Protocol):
+    """One compiled build of the kernel's sources, with the room that it has."""
+
+    max_joints: int
+    max_spheres: int
+    max_links: int
+    max_pairs: int
+
+    @property
+    def Kernel(self) -> type[Kernel]:  # noqa: N802  (a class)
+        """A filter as this build has it; every build's behaves alike."""
+        ...
+
+
+def build_for(body: Body, config: FilterConfig) -> Build:
+    """The smallest build that has room for `body`, in the configured number type: most arms fit the first.
+
+    Both sizes are made from the same sources and answer bit for bit alike; the wide one is slower.
+
+    Raises:
+        InvalidSetup: no build has room for it; the message names what is too many.
+    """
+    lacking: list[tuple[str, int, int]] = []
+    for name in SIZES:
+        build = _load(f"_kernel{'64' if config.real == 'float64' else ''}{name}")
+        lacking = [(what, got, room) for what, got, room in _sizes(body, build) if got > room]
+        if not lacking:
+            return build
+    what, got, room = lacking[0]
+    raise InvalidSetup(f"{what} of the body", got=got, allowed=f"at most {room}")
+
+
+def _load(name: str) -> Build:
+    """Builds that nobody asks for stay unloaded."""
+    return _kernel if name == "_kernel" else cast(Build, import_module(f"dualbrain.safety.cbf.compiled.{name}"))
+
+
+def _sizes(body: Body, build: Build) -> tuple[tuple[str, int, int], ...]:
+    """What a body needs and what a build has room for."""
+    return (
+        ("joints", body.n, build.max_joints), ("spheres", len(body.spheres), build.max_spheres),
+        ("parts", len(body.links), build.max_links), ("pairs kept apart", len(body.self_pairs.kept), build.max_pairs),
+    )  # fmt: skip
+
+
+def model_of(body: Body, config: FilterConfig, weight: Array | None = None) -> dict[str, Any]:
+    """The kernel's model of `body`, every length and angle in float64; the kernel rounds once."""
+    return _dials(body, config) | _limits(body, config, weight) | _geometry(body) | _pairs(body)
+
+
+def _dials(body: Body, config: FilterConfig) -> dict[str, Any]:
+    return {
+        "n": body.n,
+        "period": body.period,
+        "alpha": _alpha(body, config, config.alpha),
+        "alpha_self": _alpha(body, config, config.alpha_self),
+        "alpha_joint": _alpha(body, config, config.alpha_joint),
+        "recovery": config.recovery_speed,
+        "sampling": config.sampling_margin,
+        "rounding": config.rounding_margin,
+        "self_margin": config.self_margin,
+        "lag": body.tracking.lag if config.lag_compensation else 0.0,
+        "tracking": tracking_error(body, config),
+        "state_age_max": config.state_stale_after,
+        "scene_age_max": config.stale_after,
+    }
+
+
+def tracking_error(body: Body, config: FilterConfig) -> float:
+    """What every row keeps for ẏ ≠ u [rad/s]: the configured number, else the body's own for the largest gain."""
+    if config.tracking_error is not None:
+        return config.tracking_error
+    return body.tracking.budget(steepest(body, config))
+
+
+def steepest(body: Body, config: FilterConfig) -> float:
+    """The largest gain α [1/s] of the filter's own rows."""
+    return max(_alpha(body, config, gain) for gain in (config.alpha, config.alpha_self, config.alpha_joint))
+
+
+def _alpha(body: Body, config: FilterConfig, own: float | None) -> float:
+    """The gain of one kind of row: its own, else the filter's, else the largest that braking can follow."""
+    if own is not None:
+        return own
+    return body.alpha if config.alpha is None else config.alpha
+
+
+def _limits(body: Body, config: FilterConfig, weight: Array | None) -> dict[str, Any]:
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    a_max = np.array([joint.acceleration.value for joint in body.joints])
+    R = np.diag(1.0 / v_max**2) if weight is None else np.asarray(weight, float)
+    try:
+        scale = np.linalg.inv(np.linalg.cholesky(R)).T
+    except np.linalg.LinAlgError:
+        raise InvalidSetup("weight R of the filter", got=R.tolist(), allowed="symmetric positive definite") from None
+    return {
+        "q_lower": np.array([joint.lower.value for joint in body.joints]),
+        "q_upper": np.array([joint.upper.value for joint in body.joints]),
+        "v_max": v_max,
+        "a_max": a_max if config.acceleration_limits else np.full(body.n, UNLIMITED),
+        "j_max": np.array([_jerk(joint) if config.jerk_limits else 0.0 for joint in body.joints]),
+        "scale": np.ascontiguousarray(scale),
+    }
+
+
+def _jerk(joint: Joint) -> float:
+    if joint.jerk is None:
+        raise InvalidSetup("jerk limits of the body", got=f"none for {joint.name}", allowed="a bound for every joint")
+    return joint.jerk.value
+
+
+def _geometry(body: Body) -> dict[str, Any]:
+    rows: list[Array] = []
+    first = [0]
+    for link in body.links:
+        turn, shift = matrix(link.quaternion), np.array(link.translation)
+        slide = turn @ np.array(link.slide)
+        for sphere in body.spheres:
+            if sphere.link == link.name:
+                rows.append(np.array([*(shift + turn @ np.array(sphere.centre)), sphere.radius, *slide]))
+        first.append(len(rows))
+    rotation, offset = tool_frame(body)
+    return {
+        "joint_kind": np.array([float(joint.kind == "prismatic") for joint in body.joints]),
+        "joint_rotation": np.concatenate([matrix(joint.quaternion).ravel() for joint in body.joints]),
+        "joint_offset": np.concatenate([np.array(joint.translation) for joint in body.joints]),
+        "tool_rotation": np.ascontiguousarray(rotation),
+        "tool_offset": offset,
+        "link_frame": np.array([float(link.frame) for link in body.links]),
+        "link_first": np.array(first, float),
+        "spheres": np.array(rows, float).reshape(-1, 7),
+    }
+
+
+def tool_frame(body: Body) -> tuple[Array, Array]:
+    """Rotation (3, 3) and offset (3,) [m] of the tool in the last frame of the chain."""
+    link = next(link for link in body.links if link.name == body.tool.link)
+    if link.frame != body.n:
+        raise InvalidSetup("the tool's link", got=link.name, allowed=f"a link on the last frame ({body.n})")
+    turn = matrix(link.quaternion)
+    offset = np.array(link.translation) + turn @ np.array(body.tool.translation)
+    return turn @ matrix(body.tool.quaternion), offset
+
+
+def _pairs(body: Body) -> dict[str, Any]:
+    """Kept link pairs, the one nearer to the base first; a held thing is kept from whatever the hand is kept from."""
+    index = {link.name: i for i, link in enumerate(body.links)}
+    pairs: list[tuple[int, int]] = []
+    held: set[int] = set()
+    for names in body.self_pairs.kept:
+        near, far = sorted((index[name] for name in names), key=lambda i: body.links[i].frame)
+        if body.links[near].frame == body.links[far].frame:
+            raise InvalidSetup("a self-collision pair", got=names, allowed="links that move against each other")
+        pairs.append((near, far))
+        if body.links[far].group in ("hand", "fingers"):
+            held.add(near)
+    return {
+        "pairs": np.array(pairs, float).reshape(-1),
+        "held_links": np.array(sorted(held), float),
+    }
+
+
+def obstacle_rows(obstacles: Sequence[Obstacle], parts: Mapping[str, Sequence[int]] | None = None) -> Array:
+    """The obstacle table (k, 29) that the kernel reads; `parts` are the link indices behind every name of a part."""
+    if len(obstacles) > _kernel.max_obstacles:
+        raise InvalidSetup("obstacles at once", got=len(obstacles), allowed=f"at most {_kernel.max_obstacles}")
+    return np.array([_obstacle_row(obstacle, parts or {}) for obstacle in obstacles], float).reshape(-1, 29)
+
+
+def _obstacle_row(obstacle: Obstacle, parts: Mapping[str, Sequence[int]]) -> list[float]:
+    match obstacle.shape:
+        case Sphere(radius=radius):
+            kind, half, r = CAPSULE, (0.0, 0.0, 0.0), radius
+        case Capsule(radius=radius, half_length=length):
+            kind, half, r = CAPSULE, (0.0, 0.0, length), radius
+        case Box(half_extents=extents):
+            kind, half, r = BOX, extents, 0.0
+        case HalfSpace():
+            kind, half, r = HALF_SPACE, (0.0, 0.0, 0.0), 0.0
+    flags = KNOWN * obstacle.known + STATIC * obstacle.static
+    rotation = matrix(obstacle.pose.quaternion).ravel().tolist()
+    apart = obstacle.separation
+    separation = (apart.reaction, apart.brake, apart.approach) if apart else (0.0, 0.0, 0.0)
+    return [
+        kind, float(flags), float(obstacle.rank), _mask(obstacle.parts, parts), obstacle.alpha or 0.0,
+        *obstacle.pose.position, *rotation, *half, r, *obstacle.velocity, obstacle.margin, obstacle.velocity_error,
+        *separation,
+    ]  # fmt: skip
+
+
+def _mask(names: Sequence[str], parts: Mapping[str, Sequence[int]]) -> float:
+    """One bit for each link that is kept away; all of them when none is named."""
+    if not names:
+        return float(ALL_PARTS)
+    for name in names:
+        if name not in parts:
+            raise UnknownName("part of the robot", name, tuple(parts))
+    return float(sum(1 << link for link in {link for name in names for link in parts[name]}))

@@ -1,0 +1,211 @@
+"""What the filter answers: a control that is always finite and admissible, and why it is what it is."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from math import inf, sqrt
+from struct import Struct
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.safety.cbf.rows import Rank
+
+Array = NDArray[np.float64]
+RawRow = tuple[int, int, int, float, float]
+BINDING = Struct("=3i2d")
+"""How the kernel packs a binding row: unpacked where somebody looks, as most answers are never looked at."""
+OBSTACLE, SELF, LOWER, UPPER, USER = range(5)
+"""Kinds of rows, as the kernel counts them."""
+LIMITS = ("velocity", "acceleration", "jerk", "position")
+"""Where a bound of a joint's box comes from, as the kernel counts it."""
+SPOKEN = {
+    "BAD_INPUT": "the input holds a number that is not finite",
+    "STALE_STATE": "the joint state is too old, or the clock stepped",
+    "STALE_SCENE": "moving things were seen too long ago",
+    "OUTSIDE_LIMITS": "a joint is far outside its range",
+    "ROW_OVERFLOW": "more pairs are near than there is room for (shorten the control period or clear the scene)",
+    "NO_GRADIENT": "something is inside the robot where no joint can move it away",
+    "QP_ITERATIONS": "the optimisation did not end in time",
+    "INFEASIBLE": "no control meets all of",
+    "BAD_SCENE": "the obstacle table holds a number that is not finite",
+    "UNCERTIFIED": "not even braking keeps clear",
+    "UNAVOIDABLE": "something comes at a part that cannot move away",
+}
+"""Reasons in words for people."""
+
+
+class Status(IntEnum):
+    """SAFE: u is u_nom. MODIFIED: the closest safe control. RELAXED: none meets all rows; hardest admissible braking.
+
+    STOPPED: the input is bad or stale, or a limit of the kernel was met; braking. FAULT: h ≥ 0 cannot be certified for
+    the next step even when braking.
+    """
+
+    SAFE = 0
+    MODIFIED = 1
+    RELAXED = 2
+    STOPPED = 3
+    FAULT = 4
+
+
+class Reason(IntFlag):
+    """Why a status above MODIFIED was given; several may hold. The same bits as in the kernel."""
+
+    BAD_INPUT = 1
+    STALE_STATE = 2
+    STALE_SCENE = 4
+    OUTSIDE_LIMITS = 8
+    ROW_OVERFLOW = 16
+    NO_GRADIENT = 32
+    QP_ITERATIONS = 64
+    INFEASIBLE = 128
+    BAD_SCENE = 256
+    UNCERTIFIED = 512
+    UNAVOIDABLE = 1024
+    JERK = 2048
+
+
+class Names(msgspec.Struct, frozen=True):
+    """Names behind the kernel's indices: of each sphere's link, of the obstacles in force, of the joints.
+
+    `barriers` are the barriers that the obstacles belong to, `rows` the rows handed in for this step.
+    """
+
+    spheres: tuple[str, ...]
+    obstacles: tuple[str, ...]
+    joints: tuple[str, ...]
+    v_max: tuple[float, ...]
+    barriers: tuple[str, ...] = ()
+    rows: tuple[str, ...] = ()
+
+    def row(self, kind: int, i: int, j: int) -> str:
+        """A row's name: "hand vs 'cup'", "link5 vs link2", "panda_joint4 acceleration limit"."""
+        if kind == OBSTACLE:
+            return f"{self.sphere(i)} vs {self.obstacles[j]!r}"
+        if kind == SELF:
+            return f"{self.sphere(i)} vs {self.sphere(j)}"
+        if kind == USER:
+            return self.rows[i]
+        return f"{self.joints[i]} {LIMITS[j]} limit"
+
+    def barrier(self, kind: int, i: int, j: int) -> str:
+        """The barrier that a row belongs to, as `safety.barriers` names it."""
+        if kind == OBSTACLE:
+            return "held_object" if i >= len(self.spheres) else self.barriers[j]
+        if kind == USER:
+            return self.rows[i].partition(":")[0]
+        if kind == SELF:
+            return "self_collision"
+        return "joint_limits" if LIMITS[j] == "position" else "joint_motion"
+
+    def sphere(self, index: int) -> str:
+        """The link that a sphere belongs to; spheres beyond the body's are the held thing's."""
+        return self.spheres[index] if index < len(self.spheres) else "held"
+
+
+class Filtered(msgspec.Struct, frozen=True, eq=False, gc=False):  # numbers and tuples: no cycles
+    """One answer of the filter.
+
+    `u` (n,) [rad/s]; `delta` = sqrt((u − u_nom)' W (u − u_nom)), W = diag(1/v_max²)/n (paper 4.4), split into
+    `delta_rows`, `delta_box` and, where an order stood above it, `delta_supervisor`; `h_min` [m] the smallest barrier
+    value of all pairs without a permit, NaN where the input was refused and nothing was measured; `certified`: h(y + dt
+    u) ≥ 0, or no deeper than before; `iterations` of the QP; `n_rows` that were stated to it; `binding` the rows that
+    bind, packed (see `rows`); `relaxed` has bit r set when rows of rank r were given up in part.
+    """
+
+    u: Array
+    u_nom: Array
+    names: Names
+    status: Status
+    flags: int
+    delta: float
+    delta_rows: float
+    delta_box: float
+    h_min: float
+    certified: bool
+    iterations: int
+    n_rows: int
+    binding: bytes
+    relaxed: int = 0
+    delta_supervisor: float = 0.0
+
+    @property
+    def rows(self) -> tuple[RawRow, ...]:
+        """The binding rows by the kernel's indices: kind, i, j, h, multiplier; see `active`."""
+        return tuple(BINDING.iter_unpack(self.binding))
+
+    @property
+    def given_up(self) -> tuple[Rank, ...]:
+        """The ranks whose rows could not all be met."""
+        return tuple(rank for rank in Rank if self.relaxed >> rank & 1)
+
+    @property
+    def barriers(self) -> tuple[str, ...]:
+        """The barriers that the binding rows belong to, as `safety.barriers` names them."""
+        return tuple(dict.fromkeys(self.names.barrier(kind, i, j) for kind, i, j, _, _ in self.rows))
+
+    @property
+    def reason(self) -> Reason:
+        """Why the status is what it is."""
+        return Reason(self.flags)
+
+    @property
+    def active(self) -> tuple[tuple[str, float, float], ...]:
+        """Binding rows as (name, h [m], multiplier); the conflicting ones with Farkas multipliers when infeasible."""
+        return tuple((self.names.row(kind, i, j), h, weight) for kind, i, j, h, weight in self.rows)
+
+    @property
+    def cause(self) -> str:
+        """The strongest reason for a changed control, by name; empty when nothing was changed."""
+        if self.status > Status.MODIFIED and not self.rows:
+            return ", ".join(flag.name.lower().replace("_", " ") for flag in self.reason if flag.name)
+        pairs = [row for row in self.rows if row[0] not in (LOWER, UPPER)]
+        joints = [row for row in self.rows if row[0] in (LOWER, UPPER)]
+        if not self.rows:
+            return "" if self.status is Status.SAFE else "rounding"
+        if pairs and (not joints or self.delta_rows >= self.delta_box):
+            kind, i, j, _, _ = max(pairs, key=lambda row: row[4])
+        else:
+            kind, i, j, _, _ = max(joints, key=lambda row: (row[2], row[4]))  # a position limit tells the most
+        return self.names.row(kind, i, j)
+
+    def unfiltered(self) -> Filtered:
+        """The same moment had nobody filtered: u is u_nom, without a certificate."""
+        return msgspec.structs.replace(
+            self, u=self.u_nom, status=Status.SAFE, delta=0.0, delta_rows=0.0, delta_box=0.0, certified=False,
+            binding=b"",
+        )  # fmt: skip
+
+    def explain(self) -> str:
+        """One sentence for people: what was near, and what was done about it."""
+        if self.status is Status.SAFE:
+            return f"passed unchanged; nearest pair at {self.h_min * 1e3:.0f} mm"
+        if self.status is Status.MODIFIED:
+            return f"{self._who()}: {self._what()}"
+        why = "; ".join(SPOKEN[flag.name] for flag in self.reason if flag.name in SPOKEN) or "a limit of the box"
+        who = f": {self._who()}" if self.rows else ""
+        lost = f"; given up in part: {', '.join(rank.name.lower() for rank in self.given_up)}" if self.given_up else ""
+        return f"{self.status.name.lower()}, braking: {why}{who}{lost}"
+
+    def _who(self) -> str:
+        """The two strongest rows by name, each name once, with the nearer of its distances."""
+        nearest: dict[str, float] = {}
+        for kind, i, j, h, _ in sorted(self.rows, key=lambda row: -row[4]):
+            name = self.names.row(kind, i, j)
+            gap = h if kind in (OBSTACLE, SELF) else inf
+            nearest[name] = min(nearest.get(name, inf), gap)
+        words = [name + (f" {h * 1e3:.0f} mm" if h < inf else "") for name, h in list(nearest.items())[:2]]
+        return " and ".join(words) or f"nearest pair {self.h_min * 1e3:.0f} mm"
+
+    def _what(self) -> str:
+        wanted, got = self._speed(self.u_nom), self._speed(self.u)
+        if got < 0.98 * wanted:
+            return f"slowed {100.0 * (1.0 - got / wanted):.0f} %"
+        if self.delta < 1e-3:
+            return "changed by less than 0.1 % of full speed"
+        return f"redirected by {100.0 * self.delta:.1f} % of full speed"
+
+    def _speed(self, u: Array) -> float:
+        return sqrt(float(np.mean((u / np.array(self.names.v_max)) ** 2)))

@@ -1,0 +1,1 @@
+"""MuJoCo simulation: plant, scenes, tasks, perception model and the independent safety monitor."""

@@ -1,0 +1,1 @@
+"""Identification of the tracking model of a simulated drive."""

@@ -1,0 +1,117 @@
+"""What a plant is driven with to learn how it follows: sums of sines, bang-bang, full speed down the nearest row.
+
+All of it goes through the filter, so that velocity, acceleration and joint limits are those of operation; the filter
+assumes a lag and an error of its own here, so that nothing that was identified before enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.shapes import HalfSpace, Pose
+from dualbrain.robots.mobile_manipulator import BASE_GROUP
+from dualbrain.robots.model import Body, Tracking
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter
+
+Array = NDArray[np.float64]
+
+ASSUMED_LAG, ASSUMED_ERROR = 0.002, 0.006
+"""Lag [s] and position error [rad] that the filter allows for while nothing is known."""
+
+
+class Drivable(Protocol):
+    """What can be identified: `sense()` refreshes `q` and `v` (n,), `act(u)` drives for one control period.
+
+    What drives has q (n + 1,), and beside it a `path` (n,): how far each control has moved it.
+    """
+
+    q: Array
+    v: Array
+
+    def sense(self) -> None:
+        """Measure."""
+        ...
+
+    def act(self, u: Array) -> None:
+        """Drive at u (n,) [rad/s]."""
+        ...
+
+
+class Log(msgspec.Struct, frozen=True, eq=False):
+    """Joint positions (or paths) and velocities before each control period and the control sent in it, each (t, n)."""
+
+    q: Array
+    v: Array
+    u: Array
+
+
+def excite(plant: Drivable, body: Body, kind: str, steps: int, rng: np.random.Generator) -> Log:
+    """Drive `plant` for `steps` periods by one kind of excitation, through the filter; what it did."""
+    assumed = Tracking(ASSUMED_LAG, ASSUMED_ERROR, body.alpha, "assumed while nothing is known")
+    safety = SafetyFilter(msgspec.structs.replace(body, tracking=assumed), FilterConfig())
+    parts = tuple(sorted({link.group for link in body.links} - {BASE_GROUP})) if body.mobile else ()
+    safety.observe([Obstacle("floor", HalfSpace(), Pose((0.0, 0.0, 0.0)), parts=parts)], 0.0)
+    wish = _WISHES[kind](body, rng)
+    q, v, u = (np.empty((steps, body.n)) for _ in range(3))
+    for t in range(steps):
+        plant.sense()
+        q[t], v[t] = getattr(plant, "path", plant.q), plant.v
+        u[t] = safety(plant.q, v[t], wish(t, safety)).u
+        plant.act(u[t])
+    return Log(q, v, u)
+
+
+Wish = Callable[[int, SafetyFilter], Array]
+"""What is wished, a joint velocity (n,), in period t."""
+
+
+def _sines(body: Body, rng: np.random.Generator) -> Wish:
+    """Three sines a joint between 0.1 and 3 Hz, together at most the velocity limit."""
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    pace = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.1), np.log(3.0), (3, body.n)))
+    phase, share = rng.uniform(0.0, 2.0 * np.pi, (3, body.n)), rng.dirichlet(np.ones(3), body.n).T
+    return lambda t, _: v_max * np.sum(share * np.sin(pace * (t * body.period) + phase), axis=0)
+
+
+def _bang_bang(body: Body, rng: np.random.Generator) -> Wish:
+    """Full speed of every joint either way, changed after 0.15 to 1 s."""
+    return _held(body, rng, lambda _: None)
+
+
+def _rows(body: Body, rng: np.random.Generator) -> Wish:
+    """Full speed down the row with the smallest h."""
+    return _held(body, rng, _nearest)
+
+
+def _held(body: Body, rng: np.random.Generator, aim: Callable[[SafetyFilter], Array | None]) -> Wish:
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    until, now = 0, np.zeros(body.n)
+
+    def wish(t: int, safety: SafetyFilter) -> Array:
+        nonlocal until, now
+        if t >= until:
+            coins, row = np.where(rng.random(body.n) < 0.5, -1.0, 1.0), aim(safety)
+            signs = coins if row is None or rng.random() < 0.1 else np.where(row > 0.0, -1.0, 1.0)
+            until, now = t + int(rng.integers(150, 1000)), signs * v_max
+        return now
+
+    return wish
+
+
+def _nearest(safety: SafetyFilter) -> Array | None:
+    rows = safety.rows()
+    return min(rows, key=lambda row: row.h).a if rows else None
+
+
+_WISHES: dict[str, Callable[[Body, np.random.Generator], Wish]] = {
+    "sines": _sines,
+    "bang_bang": _bang_bang,
+    "rows": _rows,
+}
+
+EXCITATIONS = tuple(_WISHES)

@@ -1,0 +1,102 @@
+"""The tracking model of a mobile manipulator: arm and base each with its own lag, and one error that bounds both.
+
+The base is judged along the path that it drove: its controls are compared with how far it moved along its heading
+and how far it turned (`driven_by`), so that arcs are no error. What the filter is told is the arm's lag, by how much
+later the base follows (`base_lag`), and the larger error of the two.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.robots.differential_drive import driven_by
+from dualbrain.robots.interface import Command
+from dualbrain.robots.mobile_manipulator import BASE_JOINTS
+from dualbrain.robots.model import Body, Tracking
+from dualbrain.simulation.identification.excitation import EXCITATIONS, Log, excite
+from dualbrain.simulation.identification.tracking_model import TrackingModel, fit
+from dualbrain.simulation.plant.joint_drive import DriveKind
+from dualbrain.simulation.plant.mobile_manipulator_plant import CarrierPlant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec
+
+Array = NDArray[np.float64]
+
+HALL = ((-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0))
+"""Room to drive in [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierModel:
+    """Tracking models of both parts, as `identify` makes them."""
+
+    arm: TrackingModel
+    base: TrackingModel
+
+    def entry(self, drive: str, provenance: str) -> tuple[Tracking, float]:
+        """What the body carries: its tracking model, and its `base_lag` [s]."""
+        worse = max(self.arm, self.base, key=lambda model: model.position_error)
+        both = msgspec.structs.replace(worse, lag=self.arm.lag)
+        return both.entry(drive, provenance), round(self.base.lag - self.arm.lag, 6)
+
+
+class SteppedCarrier:
+    """The plant in two halves, look and drive, without contacts; `path` is how far each control has moved it."""
+
+    def __init__(self, plant: CarrierPlant) -> None:
+        """`plant` at rest."""
+        plant.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.plant, self.q, self.v = plant, plant.configuration(), plant.speed()
+        self.path = np.array([0.0, 0.0, *self.q[3:]])
+
+    def sense(self) -> None:
+        """Measure, and note what was moved since."""
+        self.plant.sense()
+        now = self.plant.configuration()
+        self.path = self.path + driven_by(self.q, now)
+        self.q, self.v = now, self.plant.speed()
+
+    def act(self, u: Array) -> None:
+        """Drive at u (n,) for one control period."""
+        grip = self.plant.body.gripper
+        self.plant.write(Command(u, grip.opening.value, grip.force_min.value))
+        self.plant.act()
+        for _ in range(self.plant.steps - 1):
+            self.plant.step()
+
+
+def identify_carrier(
+    body: Body, drive: DriveKind = "computed_torque", *, load: float = 0.5, seeds: Sequence[int] = (0, 1, 2, 3),
+    seconds: float = 10.0, progress: Callable[[float, str], None] | None = None,
+) -> CarrierModel:  # fmt: skip
+    """Both models from the same runs, with empty hand and with `load` [kg] at the tool."""
+    spec, steps = SceneSpec(body.name, "identify", 0, (), (), None, HALL), round(seconds / body.period)
+    loads = (0.0, load) if load > 0.0 else (0.0,)
+    runs = [(kg, kind) for kg in loads for kind in EXCITATIONS]
+    logs: list[list[Log]] = []
+    for seed in seeds:
+        own: list[Log] = []
+        for kg, kind in runs:
+            if progress is not None:
+                progress((len(logs) * len(runs) + len(own)) / (len(seeds) * len(runs)), f"seed {seed}, {kind}")
+            plant = SteppedCarrier(CarrierPlant(spec, body, drive=drive, load=kg))
+            own.append(excite(plant, body, kind, steps, np.random.default_rng(seed)))
+        logs.append(own)
+    said = f"{body.name}, {len(seeds)} seeds x {', '.join(EXCITATIONS)} x {seconds:g} s, loads {loads} kg"
+    halves = (slice(BASE_JOINTS, None), slice(0, BASE_JOINTS))
+    arm, base = (
+        fit([[_cut(log, part) for log in own] for own in logs], body.alpha, body.period, said=said) for part in halves
+    )
+    return CarrierModel(arm, base)
+
+
+def _cut(log: Log, part: slice) -> Log:
+    return Log(log.q[:, part], log.v[:, part], log.u[:, part])

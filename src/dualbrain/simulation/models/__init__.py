@@ -1,0 +1,1 @@
+"""MuJoCo models of the robots, and the meshes and hulls in them."""

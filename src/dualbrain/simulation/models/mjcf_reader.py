@@ -1,0 +1,194 @@
+"""MJCF as a description: MuJoCo compiles it, after every file that it names was found to lie where it may.
+
+MuJoCo's joints have no velocity or acceleration limits, so the site must state them. Joints of one body become a row of
+links; a joint's anchor and reference are moved into its frame.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.errors import InvalidSetup
+from dualbrain.robots.assets import mesh_primitives
+from dualbrain.robots.assets.mesh_paths import folders_of
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.assets.safe_xml import read_xml
+from dualbrain.robots.importer.kinematic_tree import Kind, Mimic, Piece, Tree, TreeJoint, TreeLink, about
+
+Array = NDArray[np.float64]
+
+DIRECTORIES = ("meshdir", "assetdir", "texturedir")
+DEEPEST = 8
+"""Levels of <include>."""
+KINDS: dict[int, Kind] = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "floating", int(mujoco.mjtJoint.mjJNT_BALL): "floating",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic", int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
+}  # fmt: skip
+
+
+def read_mjcf(file: Path, packages: Sequence[Path] = ()) -> Tree:
+    """The robot in the MJCF `file`; what it includes must lie in its folder or in `packages`.
+
+    Raises:
+        InvalidSetup: the file is hostile, loads a plugin, or MuJoCo cannot compile it.
+        MissingPart: a file that it names is not there.
+    """
+    lines: dict[str, str] = {}
+    _harmless(file, file, packages, lines, {}, 0)
+    try:
+        model = mujoco.MjSpec.from_file(str(file)).compile()
+    except (ValueError, RuntimeError) as error:
+        raise InvalidSetup(file.name, got=str(error)[:300], allowed="an MJCF that MuJoCo compiles") from error
+    links: dict[str, TreeLink] = {"world": _link(model, 0, "world")}
+    joints: list[TreeJoint] = []
+    for body in range(1, model.nbody):
+        _add_body(model, body, links, joints, lines, file.name)
+    drawn = [link.name for link in links.values() if link.drawn]
+    notes = (f"no collision shapes, visual ones taken instead: {', '.join(drawn)}",) if drawn else ()
+    name = model.names[: model.names.index(b"\0")].decode() or file.stem
+    return Tree(name, file.name, "not stated by the description", links, tuple(joints), notes).checked()
+
+
+# --- safety ---------------------------------------------------------------------------------------------------------
+
+
+def _harmless(
+    file: Path, main: Path, packages: Sequence[Path], lines: dict[str, str], folders: dict[str, str], depth: int
+) -> None:  # fmt: skip
+    """Raise unless every file that the description names is one it may read; notes the line of every joint."""
+    if depth > DEEPEST:
+        raise InvalidSetup(f"includes of {main.name}", got=f"more than {DEEPEST} levels", allowed="fewer")
+    _, root = read_xml(file)
+    allowed = folders_of(main, packages)
+    for element in root.iter("compiler"):
+        folders.update({key: element.get(key) for key in DIRECTORIES if element.get(key)})
+    for element in root.iter():
+        where = f"{file.name}:{element.sourceline}"
+        if element.tag in ("extension", "plugin"):
+            raise InvalidSetup(f"<{element.tag}> at {where}", got="a plugin", allowed="plain MJCF")
+        if element.tag == "joint" and element.get("name"):
+            lines.setdefault(element.get("name"), where)
+        for key, name in element.attrib.items():
+            if not key.startswith("file") or not name:
+                continue
+            folder = "" if element.tag in ("include", "model") else folders.get("assetdir", "")
+            folder = folders.get({"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, ""), folder)
+            found = allowed.find(str(Path(folder) / name), where)
+            if element.tag in ("include", "model"):
+                _harmless(found, main, packages, lines, folders, depth + 1)
+
+
+# --- the tree -------------------------------------------------------------------------------------------------------
+
+
+def _add_body(
+    model: Any, body: int, links: dict[str, TreeLink], joints: list[TreeJoint], lines: dict[str, str], file: str
+) -> None:
+    """The link of `body`, behind as many intermediate links as it has joints less one."""
+    name = _name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body{body}"
+    at = int(model.body_parentid[body])
+    parent = "world" if at == 0 else _name(model, mujoco.mjtObj.mjOBJ_BODY, at) or f"body{at}"
+    pose = _pose(model.body_pos[body], model.body_quat[body])
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    for k in range(count):
+        last = k == count - 1 and not model.jnt_pos[first + k].any()
+        joints.append(_joint(model, first + k, parent, name if last else f"{name}:{k}", pose, lines, file))
+        parent, pose = joints[-1].child, _shift(-model.jnt_pos[first + k])
+        links[parent] = TreeLink(parent)
+    if parent != name:
+        joints.append(TreeJoint(f"{name}:fixed", "fixed", parent, name, pose, np.zeros(3), file))
+    links[name] = _link(model, body, name)
+
+
+def _joint(model: Any, j: int, parent: str, child: str, pose: Array, lines: dict[str, str], file: str) -> TreeJoint:
+    name = _name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint{j}"
+    kind = KINDS[int(model.jnt_type[j])]
+    axis = np.array(model.jnt_axis[j], float)
+    frame = pose @ _shift(model.jnt_pos[j])
+    limited = bool(model.jnt_limited[j])
+    if kind in ("revolute", "prismatic"):
+        reference = float(model.qpos0[model.jnt_qposadr[j]])
+        back = np.eye(4)
+        if kind == "revolute":
+            back[:3, :3] = about(axis, -reference)
+        else:
+            back[:3, 3] = -reference * axis
+        frame = frame @ back
+        kind = "continuous" if kind == "revolute" and not limited else kind
+    lower, upper = (float(value) for value in model.jnt_range[j]) if limited else (None, None)
+    return TreeJoint(
+        name, kind, parent, child, frame, axis, lines.get(name, file), lower, upper, None, None, _mimic(model, j)
+    )  # fmt: skip
+
+
+def _mimic(model: Any, j: int) -> Mimic | None:
+    """The first two coefficients of an equality between joints."""
+    for e in range(model.neq):
+        if int(model.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT) and int(model.eq_obj1id[e]) == j:
+            other = int(model.eq_obj2id[e])
+            if other >= 0:
+                offset, factor = (float(value) for value in model.eq_data[e][:2])
+                return Mimic(_name(model, mujoco.mjtObj.mjOBJ_JOINT, other), factor, offset)
+    return None
+
+
+def _link(model: Any, body: int, name: str) -> TreeLink:
+    """Geoms that collide; the visible ones where none does. A plane is the world's floor, no part of the robot."""
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    solid = [g for g in range(first, first + count) if int(model.geom_type[g]) != int(mujoco.mjtGeom.mjGEOM_PLANE)]
+    hard = [g for g in solid if model.geom_contype[g] or model.geom_conaffinity[g]]
+    pieces = tuple(_piece(model, g) for g in hard or solid)
+    return TreeLink(name, pieces, drawn=bool(pieces) and not hard)
+
+
+def _piece(model: Any, g: int) -> Piece:
+    pose = _pose(model.geom_pos[g], model.geom_quat[g])
+    size = np.array(model.geom_size[g], float)
+    kind = int(model.geom_type[g])
+    if kind == int(mujoco.mjtGeom.mjGEOM_BOX):
+        return Piece("box", partial(mesh_primitives.box, size, pose))
+    if kind == int(mujoco.mjtGeom.mjGEOM_SPHERE):
+        return Piece("sphere", partial(mesh_primitives.ellipsoid, np.full(3, size[0]), pose))
+    if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return Piece("ellipsoid", partial(mesh_primitives.ellipsoid, size, pose))
+    if kind == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
+        return Piece("cylinder", partial(mesh_primitives.cylinder, float(size[0]), float(size[1]), pose))
+    if kind == int(mujoco.mjtGeom.mjGEOM_CAPSULE):
+        return Piece("capsule", partial(mesh_primitives.capsule, float(size[0]), float(size[1]), pose))
+    if kind != int(mujoco.mjtGeom.mjGEOM_MESH):
+        raise InvalidSetup(f"geom {g}", got=mujoco.mjtGeom(kind).name, allowed="box, sphere, cylinder, capsule, mesh")
+    return Piece("mesh", partial(_mesh, model, int(model.geom_dataid[g]), pose))
+
+
+def _mesh(model: Any, m: int, pose: Array) -> Mesh:
+    vertices, faces = int(model.mesh_vertadr[m]), int(model.mesh_faceadr[m])
+    points = np.array(model.mesh_vert[vertices : vertices + int(model.mesh_vertnum[m])], float)
+    corners = np.array(model.mesh_face[faces : faces + int(model.mesh_facenum[m])], np.int64)
+    return mesh_primitives.moved(Mesh(points, corners), pose)
+
+
+def _name(model: Any, kind: Any, index: int) -> str:
+    return mujoco.mj_id2name(model, int(kind), index) or ""
+
+
+def _pose(position: Array, quaternion: Array) -> Array:
+    pose = _shift(position)
+    pose[:3, :3] = matrix([float(value) for value in quaternion])
+    return pose
+
+
+def _shift(position: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    return pose

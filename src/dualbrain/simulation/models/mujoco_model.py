@@ -1,0 +1,147 @@
+"""Where the robot's MuJoCo model comes from: the user's file, Menagerie when it is already here, else the built-in one.
+
+Nothing is downloaded. Whatever the source, the result of an arm of n joints obeys one convention: bodies
+`link0`..`link{n}`, `hand`, `left_finger`, `right_finger`; velocity actuators `actuator1`..`actuator{n}` in group 1, the
+finger servo `gripper` in group 2, touch sensors `left_touch` and `right_touch`, site `tcp`, gravity compensation on
+every moving body. A base is one body `link0` with slides `x`, `y` and a hinge `yaw`, each with a velocity actuator of
+its name, and the site `tcp`. A mobile manipulator is an arm whose `link0` is bolted to a body `platform` with those
+joints.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import mujoco
+
+from dualbrain.core.geometry.shapes import Vector
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.builtin.mobile_panda import MOUNT
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.mobile_manipulator import BASE_JOINTS as DRIVEN
+from dualbrain.robots.model import Body
+from dualbrain.simulation.models.menagerie import adapt, menagerie_file
+from dualbrain.simulation.models.visual_meshes import add_visuals, mesh_folder
+
+MODELS = {"panda": "panda", "fr3": "panda", "ur5e": "ur5e", "base": "base", "mobile_panda": "carrier"}
+"""File of every robot's built-in model; joint limits are the body's own."""
+CARRIED = {"mobile_panda": ("panda", MOUNT)}
+"""The arm that a carrier's model gets, and where [m]."""
+PLATFORM = "platform"
+"""The body of a mobile manipulator that stands on the floor."""
+
+BASE_JOINTS = ("x", "y", "yaw")
+
+
+def arm_joints(body: Body) -> int:
+    """How many joints the arm of `body` has."""
+    return body.n - DRIVEN if body.mobile else body.n
+
+
+def required(n: int) -> dict[str, tuple[str, ...]]:
+    """The parts that the model of an arm of `n` joints must have, by kind; of a base where n = 0."""
+    if n == 0:
+        return {"body": ("link0",), "joint": BASE_JOINTS, "actuator": BASE_JOINTS, "site": ("tcp",)}
+    return {
+        "body": (*(f"link{i}" for i in range(n + 1)), "hand", "left_finger", "right_finger"),
+        "joint": (*(f"joint{i}" for i in range(1, n + 1)), "finger_joint1", "finger_joint2"),
+        "actuator": (*(f"actuator{i}" for i in range(1, n + 1)), "gripper"),
+        "sensor": ("left_touch", "right_touch"),
+        "site": ("tcp",),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """A robot ready to be attached to a scene: its editable `spec`, `source` in words, whether it has a look."""
+
+    name: str
+    spec: mujoco.MjSpec
+    source: str
+    has_visuals: bool
+    rider: RobotModel | None = None
+    at: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def root(self) -> mujoco.MjsBody:
+        """The body that stands in the world; a `rider`, if any, is bolted to it at `at` [m]."""
+        return self.spec.body(PLATFORM if self.rider else "link0")
+
+
+def robot_model(
+    name: str, *, path: Path | None = None, menagerie: Path | None = None, visuals: bool = False
+) -> RobotModel:
+    """The model called `name`, from the first source that has it.
+
+    `path` is a MJCF file of the user's that obeys the convention above. `menagerie` is a checkout of MuJoCo Menagerie
+    or a warm cache folder of its downloader (the caller reads MENAGERIE_ROOT). Without either the built-in model is
+    taken. `visuals` adds surface meshes, which change no physics.
+    Raises `UnknownName` for another robot and `InvalidSetup` for a file that lacks a required part.
+    """
+    if name not in MODELS:
+        raise UnknownName("robot model", name, tuple(MODELS))
+    if path is None and name in CARRIED:
+        return _carried(name, menagerie=menagerie, visuals=visuals)
+    if path is not None:
+        spec, source, dressed = _user(path), f"file {path.name}", True
+    elif name == "panda" and (found := menagerie_file(menagerie)) is not None:
+        spec, source, dressed = adapt(mujoco.MjSpec.from_file(str(found))), "MuJoCo Menagerie", True
+    else:
+        spec, source, dressed = _built_in(name), "built-in", False
+    _fit(spec, source, load_body(name))
+    if not visuals:
+        strip_visuals(spec)
+    elif name == "panda" and not dressed and (folder := mesh_folder()) is not None:
+        add_visuals(spec, folder)
+        dressed, source = True, f"{source}, look from example-robot-data"
+    return RobotModel(name, spec, source, visuals and dressed)
+
+
+def _carried(name: str, *, menagerie: Path | None, visuals: bool) -> RobotModel:
+    """A carrier and the arm that rides on it."""
+    rider, at = CARRIED[name]
+    arm, spec = robot_model(rider, menagerie=menagerie, visuals=visuals), _built_in(name)
+    source = f"built-in carrier; arm: {arm.source}"
+    _check(spec, source, {"body": (PLATFORM,), "joint": BASE_JOINTS, "actuator": BASE_JOINTS})
+    return RobotModel(name, spec, source, arm.has_visuals, arm, at)
+
+
+def strip_visuals(spec: mujoco.MjSpec) -> None:
+    """Delete the geoms of group 2 (looks only); for batch runs."""
+    for geom in [geom for geom in spec.geoms if geom.group == 2]:
+        spec.delete(geom)
+
+
+def _built_in(name: str) -> mujoco.MjSpec:
+    text = resources.files("dualbrain.simulation.models").joinpath("mjcf", f"{MODELS[name]}.xml").read_text()
+    return mujoco.MjSpec.from_string(text)
+
+
+def _user(path: Path) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise InvalidSetup(
+            "robot model file", got=str(error), allowed="a MJCF file that MuJoCo loads", fix=str(path)
+        ) from error
+
+
+def _fit(spec: mujoco.MjSpec, source: str, body: Body) -> None:
+    """Check that every part is there, and give the joints the body's own ranges."""
+    _check(spec, source, required(arm_joints(body)))
+    for index, joint in enumerate(() if body.mobile else body.joints, start=1):
+        spec.joint(f"joint{index}").range = [joint.lower.value, joint.upper.value]
+
+
+def _check(spec: mujoco.MjSpec, source: str, parts: dict[str, tuple[str, ...]]) -> None:
+    for kind, names in parts.items():
+        missing = [name for name in names if getattr(spec, kind)(name) is None]
+        if missing:
+            raise InvalidSetup(
+                f"robot model ({source})", got=f"no {kind} {', '.join(missing)}", allowed=f"{kind}s {', '.join(names)}"
+            )

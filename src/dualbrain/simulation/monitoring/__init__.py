@@ -1,0 +1,1 @@
+"""Independent monitor of contacts, limits and object handling on simulator ground truth."""

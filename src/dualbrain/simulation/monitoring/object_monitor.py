@@ -1,0 +1,96 @@
+"""Watches the things on the table: who was moved that had no part in the errand, and what fell.
+
+bystander: moved more than 2 cm from where it stood; bystander_tilt: turned more than 15°; both only for things that
+were never target, held or destination. object_dropped: below the table, or a free fall of more than 5 cm that no
+phase `release` commanded; a thing that a finger touches does not fall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.simulation.monitoring.contact_rules import Allowance, ContactRules
+from dualbrain.simulation.plant.plant import Plant
+
+MOVED = 0.02  # [m]
+TILTED = float(np.deg2rad(15.0))  # [rad]
+COS_HALF_TILTED = float(np.cos(TILTED / 2))
+BELOW = -0.01  # [m] height of a centre that has left the table
+FALL = 0.05  # [m]
+FALL_SPEED = 0.3  # [m/s] downward, from which a motion may be a fall
+
+
+class ThingWatch:
+    """Compares every free thing with where it stood when judging began."""
+
+    def __init__(self, plant: Plant) -> None:
+        """Remember the free things; the reference poses are taken at the first tick that is judged."""
+        self._model, self._data = plant.model, plant.data
+        self.names = plant.names
+        self._free = [thing.name for thing in plant.spec.things if not thing.fixed]
+        self._body = np.array([plant.model.body(name).id for name in self._free], int)
+        self._dof = np.array([plant.model.body(name).dofadr[0] for name in self._free], int)
+        self._start: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._involved: set[str] = set()
+        self._top: dict[str, float] = {}
+        self._releasing = False
+
+    def allow(self, allowance: Allowance) -> None:
+        """Things named by a skill are not bystanders any more."""
+        self._involved |= {name for name in (allowance.target, allowance.held, allowance.destination) if name}
+        self._releasing = allowance.phase == "release"
+
+    def begin(self) -> None:
+        """Take the reference poses, once."""
+        if self._start is None:
+            self._start = (self._data.xpos[self._body].copy(), self._data.xquat[self._body].copy())
+
+    def look(self, rules: ContactRules) -> Iterator[tuple[str, str, float]]:
+        """Every (kind, name, peak) that is breached now."""
+        assert self._start is not None
+        position, quaternion = self._data.xpos[self._body], self._data.xquat[self._body]
+        away = position - self._start[0]
+        moved = (away * away).sum(axis=1)
+        cosine = np.abs((quaternion * self._start[1]).sum(axis=1))
+        suspects = (moved > MOVED**2) | (cosine < COS_HALF_TILTED)
+        if suspects.any():
+            yield from self._bystanders(suspects, np.sqrt(moved), 2.0 * np.arccos(cosine.clip(0.0, 1.0)))
+        height, rise = position[:, 2], self._data.qvel[self._dof + 2]
+        if self._top or ((rise < -FALL_SPEED) | (height < BELOW)).any():
+            yield from self._falls(height, rise, rules)
+
+    def _bystanders(
+        self, suspects: NDArray[np.bool_], moved: NDArray[np.float64], turned: NDArray[np.float64]
+    ) -> Iterator[tuple[str, str, float]]:
+        for index in suspects.nonzero()[0].tolist():
+            name = self._free[index]
+            if name in self._involved:
+                continue
+            if moved[index] > MOVED:
+                yield "bystander", name, float(moved[index])
+            if turned[index] > TILTED:
+                yield "bystander_tilt", name, float(turned[index])
+
+    def _falls(
+        self, height: NDArray[np.float64], rise: NDArray[np.float64], rules: ContactRules
+    ) -> Iterator[tuple[str, str, float]]:
+        for index, name in enumerate(self._free):
+            if height[index] < BELOW:
+                yield "object_dropped", name, float(-height[index])
+            if rise[index] > -FALL_SPEED or self._releasing or self._gripped(index, rules):
+                self._top.pop(name, None)
+                continue
+            top = self._top.setdefault(name, float(height[index]) + float(rise[index]) ** 2 / (2 * 9.81))
+            if top - height[index] > FALL:
+                yield "object_dropped", name, float(top - height[index])
+
+    def _gripped(self, index: int, rules: ContactRules) -> bool:
+        pairs = self._data.contact.geom
+        if not len(pairs):
+            return False
+        body = self._model.geom_bodyid
+        mine = body[pairs] == self._body[index]
+        return bool((mine[:, ::-1] & rules.fingers[pairs]).any())

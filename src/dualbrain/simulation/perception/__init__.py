@@ -1,0 +1,1 @@
+"""Perception models: bounded noise, depth cameras, fitted primitives, rendering."""

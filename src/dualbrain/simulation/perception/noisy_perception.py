@@ -1,0 +1,150 @@
+"""What the robot sees of the world: the truth, delayed, shifted by a bounded error, with drop-outs, all declared.
+
+Position error e ∈ R³ of each thing follows e' = ρ e + sqrt(1 − ρ²) w with w ~ N(0, σ² I) and ρ = exp(−Δt/T): a
+calibration error that drifts slowly (T seconds) instead of jumping at each look. It is redrawn until ‖e'‖ ≤ 3σ, so 3σ
+bounds the *norm*, always; that bound is handed on in `SceneObject.error`. A person's velocity error is uniform in a
+ball of the declared radius. Exact by declaration: sizes, orientations, identities, what things stand on, the places,
+what a map says of the floor.
+Things on the table are taken to be at rest (velocity zero): only a person's velocity is estimated.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.core.geometry.shapes import Capsule, HalfSpace, Pose, Vector
+from dualbrain.errors import InvalidSetup
+from dualbrain.records import Scene, SceneObject
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.scene_spec import SceneSpec, Thing, closed_floor
+
+TRUNCATION = 3.0
+TABLE = SceneObject("table", "support", HalfSpace(), Pose((0.0, 0.0, 0.0)), category="table")
+
+
+class Noise(msgspec.Struct, frozen=True):
+    """The declared noise model.
+
+    `sigma` [m] per axis; `drift` [s] is the correlation time T (0: a fresh error at each look); `velocity_error`
+    [m/s] bounds the error of a person's velocity; `latency` [s] is the age of what a look returns; `drop_out` is the
+    chance that a look misses a thing (its last sighting stays, with its old stamp); things in `hidden` are never
+    seen.
+    """
+
+    sigma: float = 0.003
+    drift: float = 0.5
+    velocity_error: float = 0.02
+    latency: float = 0.0
+    drop_out: float = 0.0
+    hidden: frozenset[str] = frozenset()
+
+    @property
+    def bound(self) -> float:
+        """Largest norm of a position error [m]."""
+        return TRUNCATION * self.sigma
+
+
+EXACT = Noise(sigma=0.0, velocity_error=0.0)
+
+
+class Perception:
+    """Looks at a plant and tells a `Scene`; all chance comes from the generator that is handed in."""
+
+    def __init__(self, spec: SceneSpec, noise: Noise, rng: np.random.Generator) -> None:
+        """Perception of the scene `spec` under `noise`; raises `InvalidSetup` for impossible noise."""
+        if min(noise.sigma, noise.drift, noise.velocity_error, noise.latency) < 0.0 or not 0.0 <= noise.drop_out < 1.0:
+            raise InvalidSetup("perception noise", got=noise, allowed="nothing below 0, drop_out below 1")
+        self.noise, self._spec, self._rng = noise, spec, rng
+        self._errors: dict[str, NDArray[np.float64]] = {}
+        self._seen: dict[str, SceneObject] = {}
+        self._looked: float | None = None
+        self._captures: deque[tuple[float, tuple[SceneObject, ...]]] = deque()
+        self._names: tuple[str, ...] = ()
+        self._version = 0
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def look(self, plant: Plant) -> Scene:
+        """The scene as perceived now; each object's `stamp` says when it was really seen.
+
+        Until the first look is `latency` old, the first look is returned with its true stamp.
+        """
+        now = plant.now
+        self._capture(plant, now)
+        while len(self._captures) > 1 and self._captures[1][0] <= now - self.noise.latency + 1e-9:
+            self._captures.popleft()
+        seen = self._captures[0][1]
+        names = tuple(thing.name for thing in seen)
+        if names != self._names:
+            self._names, self._version = names, self._version + 1
+        table = msgspec.structs.replace(TABLE, stamp=now)
+        support = () if self._spec.region else (table,)
+        things = (*support, *seen, *closed_floor(self._spec, now))
+        return Scene(self._spec.robot, now, self._version, things, self._spec.places, self._spec.floor)
+
+    def _capture(self, plant: Plant, now: float) -> None:
+        elapsed = 0.0 if self._looked is None else now - self._looked
+        self._looked = now
+        things: Mapping[str, Thing] = {thing.name: thing for thing in self._spec.things}
+        for name in plant.names:
+            error = self._drift(name, elapsed)
+            missed = self.noise.drop_out > 0.0 and self._rng.random() < self.noise.drop_out
+            if name in self.noise.hidden or missed:
+                continue
+            seen = self._thing(plant, things[name], error) if name in things else self._person(plant, name, error)
+            self._seen[name] = msgspec.structs.replace(seen, stamp=now)
+        self._captures.append((now, tuple(self._seen[name] for name in plant.names if name in self._seen)))
+
+    def _thing(self, plant: Plant, thing: Thing, error: NDArray[np.float64]) -> SceneObject:
+        if thing.role == "support":
+            error, bound = np.zeros(3), 0.0
+        else:
+            bound = self.noise.bound
+        return SceneObject(
+            thing.name, thing.role, thing.shape, _shift(plant.truth(thing.name), error), error=bound,
+            category=thing.category, colour=thing.colour, fragile_limit=thing.fragile_limit,
+        )  # fmt: skip
+
+    def _person(self, plant: Plant, name: str, error: NDArray[np.float64]) -> SceneObject:
+        mover = self._spec.mover
+        assert mover is not None
+        velocity = plant.velocity(name) + self._ball(self.noise.velocity_error)
+        return SceneObject(
+            name, "person", Capsule(mover.radius, mover.half_length), _shift(plant.truth(name), error),
+            _vector(velocity), error=self.noise.bound, velocity_error=self.noise.velocity_error, category="person",
+            colour="",
+        )  # fmt: skip
+
+    def _drift(self, name: str, elapsed: float) -> NDArray[np.float64]:
+        sigma = self.noise.sigma
+        if sigma == 0.0:
+            return np.zeros(3)
+        before = self._errors.get(name)
+        keep = 0.0 if before is None or self.noise.drift == 0.0 else float(np.exp(-elapsed / self.noise.drift))
+        start = np.zeros(3) if before is None else keep * before
+        spread = sigma * np.sqrt(1.0 - keep * keep)
+        error = start + spread * self._rng.standard_normal(3)
+        while np.linalg.norm(error) > self.noise.bound:
+            error = start + spread * self._rng.standard_normal(3)
+        self._errors[name] = error
+        return error
+
+    def _ball(self, radius: float) -> NDArray[np.float64]:
+        """A point uniform in the ball of `radius`."""
+        direction = self._rng.standard_normal(3)
+        return radius * float(self._rng.random()) ** (1.0 / 3.0) * direction / np.linalg.norm(direction)
+
+
+def _shift(pose: Pose, error: NDArray[np.float64]) -> Pose:
+    return Pose(_vector(np.array(pose.position) + error), pose.quaternion)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = values.tolist()
+    return (x, y, z)

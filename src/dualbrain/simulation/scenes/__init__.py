@@ -1,0 +1,1 @@
+"""Scene specification, scene files and their construction in MuJoCo."""

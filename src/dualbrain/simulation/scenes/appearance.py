@@ -1,0 +1,172 @@
+"""How the world looks: colours, materials, light, cameras, the bowl's and the forearm's surface. No physics in here.
+
+Everything added here has group 2 and neither collides nor weighs, except materials, lights and cameras.
+"""
+
+# MuJoCo ships no type stubs:
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from dualbrain.core.geometry.shapes import Bowl
+from dualbrain.errors import UnknownName
+from dualbrain.simulation.scenes.scene_spec import TABLE_X, TABLE_Y, Mover
+
+_GEOM = mujoco.mjtGeom
+LOOK = {"group": 2, "contype": 0, "conaffinity": 0, "mass": 0.0}
+
+COLOURS: dict[str, tuple[float, float, float, float]] = {
+    "red": (0.80, 0.13, 0.12, 1), "blue": (0.13, 0.34, 0.70, 1), "green": (0.24, 0.56, 0.33, 1),
+    "yellow": (0.93, 0.73, 0.16, 1), "orange": (0.91, 0.47, 0.15, 1), "purple": (0.46, 0.29, 0.60, 1),
+    "teal": (0.12, 0.54, 0.55, 1), "white": (0.93, 0.92, 0.89, 1), "brown": (0.45, 0.30, 0.20, 1),
+    "grey": (0.52, 0.55, 0.58, 1), "pink": (0.87, 0.52, 0.60, 1), "black": (0.16, 0.17, 0.19, 1),
+    "clear": (0.72, 0.88, 0.95, 0.42), "oak": (0.62, 0.47, 0.32, 1), "skin": (0.87, 0.67, 0.55, 1),
+    "sleeve": (0.26, 0.36, 0.47, 1),
+}  # fmt: skip
+
+
+def colour_of(name: str) -> tuple[float, float, float, float]:
+    """Red, green, blue, opacity of a named colour; raises `UnknownName`."""
+    if name not in COLOURS:
+        raise UnknownName("colour", name, tuple(COLOURS))
+    return COLOURS[name]
+
+
+def dress_room(root: mujoco.MjSpec, floor: float) -> None:
+    """Sky, floor and table materials, lights, table legs and three cameras: front, top, side."""
+    _materials_and_light(root)
+    _legs(root, floor)
+    _camera(root, "front", (1.68, -0.84, 1.00), (0.31, 0.0, 0.245), fovy=38)
+    _camera(root, "top", (0.42, 0.0, 1.85), (0.40, 0.0, 0.0), fovy=40, up=(1.0, 0.0, 0.0))
+    _camera(root, "side", (0.42, -1.85, 0.62), (0.38, 0.0, 0.25), fovy=40)
+
+
+def dress_hall(root: mujoco.MjSpec) -> None:
+    """Sky, floor and lights of a room to drive in, and three cameras: front, top, side."""
+    _materials_and_light(root)
+    _camera(root, "front", (-3.2, -4.4, 4.2), (2.0, 0.2, 0.2), fovy=48)
+    _camera(root, "top", (2.0, 0.0, 8.5), (2.0, 0.0, 0.0), fovy=45, up=(0.0, 1.0, 0.0))
+    _camera(root, "side", (2.0, -7.0, 3.0), (2.0, 0.0, 0.3), fovy=45)
+
+
+def _materials_and_light(root: mujoco.MjSpec) -> None:
+    """Sky, floor and table materials, lights."""
+    root.visual.global_.offwidth, root.visual.global_.offheight = 1280, 960
+    root.visual.headlight.ambient, root.visual.headlight.diffuse = [0.38] * 3, [0.18] * 3
+    root.visual.headlight.specular = [0.05] * 3
+    root.visual.quality.shadowsize, root.visual.map.znear = 4096, 0.02
+    sky = root.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
+    sky.builtin, sky.rgb1, sky.rgb2 = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, [0.90, 0.93, 0.96], [0.66, 0.71, 0.77]
+    tiles = root.add_texture(name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512)
+    tiles.builtin, tiles.rgb1, tiles.rgb2 = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, [0.70, 0.72, 0.75], [0.64, 0.66, 0.69]
+    ground = root.add_material(name="floor", texrepeat=[6, 6], texuniform=False, specular=0.1)
+    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    root.add_material(name="table", rgba=[0.83, 0.75, 0.64, 1], specular=0.15, shininess=0.2)
+    root.add_material(name="satin", specular=0.35, shininess=0.45)
+    root.add_material(name="glass", specular=0.9, shininess=0.9)
+    lamp = {"type": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL}
+    root.worldbody.add_light(name="sun", pos=[0.2, -1.2, 2.4], dir=[0.15, 0.55, -1.0], diffuse=[0.48] * 3, **lamp)
+    root.worldbody.add_light(
+        name="fill", pos=[1.5, 1.5, 2.0], dir=[-0.6, -0.6, -0.6], diffuse=[0.18] * 3, castshadow=False, **lamp
+    )
+
+
+def bowl_look(root: mujoco.MjSpec, body: mujoco.MjsBody, name: str, bowl: Bowl, rgba: tuple[float, ...]) -> None:
+    """A turned bowl: a profile swept about z, drawn over the staves."""
+    outer, inner, high, base = bowl.radius + 0.002, bowl.radius - bowl.wall - 0.002, bowl.height, 0.75 * bowl.radius
+    profile = [(0, 0.0005), (base, 0.0005), (outer - 0.006, 0.010), (outer, 0.024), (outer, high - 0.001)]
+    profile += [(outer - 0.002, high + 0.001), (inner, high), (inner, 0.022), (inner - 0.008, 0.011), (0, 0.0085)]
+    around, rings = 64, len(profile)
+    angle = 2 * np.pi * np.arange(around) / around
+    points = [(r * np.cos(a), r * np.sin(a), z) for r, z in profile for a in angle]
+    faces = []
+    for ring in range(rings - 1):
+        for k in range(around):
+            a, b = ring * around + k, ring * around + (k + 1) % around
+            faces += [(a, b, b + around), (a, b + around, a + around)]
+    mesh = root.add_mesh(name=f"{name}_look", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert, mesh.userface = np.array(points).ravel(), np.array(faces).ravel()
+    body.add_geom(type=_GEOM.mjGEOM_MESH, meshname=mesh.name, rgba=rgba, material="satin", **LOOK)
+
+
+def forearm_look(body: mujoco.MjsBody, mover: Mover) -> None:
+    """Sleeve, wrist, palm and fingers, all inside the capsule that collides (the hand lies at its inner end)."""
+    r, inner = mover.radius, -mover.half_length
+    axis = np.array(mover.axis) / np.linalg.norm(mover.axis)
+    side = np.cross([0.0, 0.0, 1.0], axis)
+
+    def rod(start: float, end: float, radius: float, colour: str, *, shift: float = 0.0, kind: str = "CAPSULE") -> None:
+        a, b = axis * start + side * shift, axis * end + side * shift
+        shape = getattr(_GEOM, f"mjGEOM_{kind}")
+        body.add_geom(type=shape, size=[radius, 0, 0], fromto=[*a, *b], rgba=colour_of(colour), **LOOK)
+
+    rod(inner + 0.22, mover.half_length, 0.97 * r, "sleeve")
+    rod(inner + 0.175, inner + 0.20, 0.99 * r, "sleeve", kind="CYLINDER")
+    rod(inner + 0.06, inner + 0.22, 0.62 * r, "skin")
+    palm = body.add_geom(
+        type=_GEOM.mjGEOM_ELLIPSOID,
+        size=[0.052, 0.036, 0.018],
+        pos=axis * (inner + 0.045),
+        rgba=colour_of("skin"),
+        **LOOK,
+    )
+    palm.quat = _turn_to(axis)
+    for shift in (-0.024, -0.008, 0.008, 0.024):
+        rod(inner - 0.028 + 0.4 * abs(shift), inner + 0.03, 0.0078, "skin", shift=shift)
+    rod(inner + 0.015, inner + 0.06, 0.0085, "skin", shift=0.034)
+
+
+def person_look(body: mujoco.MjsBody, mover: Mover) -> None:
+    """A head, a trunk and two legs inside the standing capsule that collides."""
+    r, half = mover.radius, mover.half_length
+
+    def rod(start: float, end: float, radius: float, colour: str, y: float = 0.0) -> None:
+        body.add_geom(
+            type=_GEOM.mjGEOM_CAPSULE,
+            size=[radius, 0, 0],
+            fromto=[0, y, start, 0, y, end],
+            rgba=colour_of(colour),
+            **LOOK,
+        )
+
+    rod(half, half + 0.05, 0.4 * r, "skin")
+    rod(-0.05, half - 0.2, 0.72 * r, "sleeve")
+    for side in (-1, 1):
+        rod(-half, -0.05, 0.3 * r, "black", y=side * 0.35 * r)
+
+
+def _turn_to(axis: np.ndarray) -> list[float]:
+    yaw = float(np.arctan2(axis[1], axis[0]))
+    return [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+
+
+def _legs(root: mujoco.MjSpec, floor: float) -> None:
+    half = (-0.04 - floor) / 2
+    for x in (TABLE_X[0] + 0.05, TABLE_X[1] - 0.05):
+        for y in (TABLE_Y[0] + 0.05, TABLE_Y[1] - 0.05):
+            root.worldbody.add_geom(
+                type=_GEOM.mjGEOM_CYLINDER,
+                size=[0.022, half, 0],
+                pos=[x, y, floor + half],
+                rgba=[0.32, 0.33, 0.35, 1],
+                **LOOK,
+            )
+
+
+def _camera(
+    root: mujoco.MjSpec,
+    name: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    *,
+    fovy: float,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> None:
+    """A camera at `position` that looks at `target`, upright along `up`."""
+    back = np.subtract(position, target) / np.linalg.norm(np.subtract(position, target))
+    right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
+    above = np.cross(back, right)
+    root.worldbody.add_camera(name=name, pos=position, xyaxes=[*right, *above], fovy=fovy)

@@ -1,0 +1,83 @@
+"""Families of level II about things that must not fall or break.
+
+- `edge_ii`: the cube hangs over the table's left or right edge. Fingers fit on one axis only, because hand-high things
+  stand beside it along the edge, or one stands at its inner face; a screen bars one of the two ways to the bowl, or a
+  board hangs over the cube, so that only a hand that comes in low gets there.
+- `fragile_ii`: a glass is the errand, upright, to a coaster. Thin and ordinary ones break above a force that differs
+  from scene to scene; a thick one is full and wet, and slips out of a grip that is gentle enough for those. It stands
+  in a row as the cube of `tall_ii` does, and a screen bars one of the two ways.
+
+Which hazard a scene has goes round with the seed; the rest is drawn. Gaps are 4-8 cm, as in `hard_scenes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from dualbrain.core.geometry.shapes import Cylinder
+from dualbrain.records import Place
+from dualbrain.simulation.scenes.generators.draft import CUBE, PLACES, Draft
+from dualbrain.simulation.scenes.generators.obstructed_tabletop import PASSABLE, SQUEEZED, board, screen
+from dualbrain.simulation.scenes.scene_spec import TABLE_Y, Thing
+
+GLASS = Cylinder(radius=0.024, half_height=0.045)
+COASTER = Place("coaster", (0.50, 0.26, 0.0))
+"""Where the glass goes: the only place of its scenes."""
+FRONT = PLACES[2:]
+"""What is left of the table's places where things stand at its edges."""
+LIMITS = ((13.0, 16.0), (17.0, 20.0), (50.0, 60.0))
+"""What breaks the glass [N]: thin, ordinary and thick ones, in turn."""
+DRY, WET = (0.08, 0.8), (0.28, 0.12)
+"""Mass [kg] and friction of an empty glass, and of a full one that is wet outside: 10 N a finger hold 2.4 N of it."""
+
+
+def _edge(draft: Draft) -> None:
+    """The cube over an edge, 30-42 % of its width outside; a row, a wall or a board around it, in turn."""
+    rng, draft.places = draft.rng, FRONT
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    outside = rng.uniform(0.30, 0.42)
+    draft.cube(rng.uniform(0.28, 0.35), side * (TABLE_Y[1] - 2 * CUBE.half_extents[1] * (0.5 - outside)), 0.0)
+    draft.bowl()
+    inner = 1 if side < 0.0 else 3
+    hazard = ("row", "wall", "board")[draft.seed % 3]
+    if hazard == "row":
+        for face in (0, 2):
+            draft.beside("hand_high", face, rng.uniform(0.045, 0.07))
+        draft.beside("flat", inner, rng.uniform(*(SQUEEZED if rng.random() < 0.5 else PASSABLE)))
+    elif hazard == "wall":
+        draft.beside("hand_high", inner, rng.uniform(0.045, 0.07))
+        draft.beside("flat", 0 if rng.random() < 0.5 else 2, rng.uniform(*SQUEEZED))
+    else:
+        draft.beside("low", inner, rng.uniform(*PASSABLE))
+        board(draft, side * 0.58, half=0.10, height=rng.uniform(0.42, 0.46), tip=rng.uniform(0.36, 0.40))
+    if hazard != "board":
+        _screen_inside(draft, side)
+
+
+def _screen_inside(draft: Draft, side: float) -> None:
+    """A screen between the edge and the bowl that leaves the straight way free, or the one close to the base."""
+    near, far = (0.14, 0.30) if draft.rng.random() < 0.5 else (0.40, 0.70)
+    screen(draft, 0.44 if side > 0.0 else -0.30, draft.rng.uniform(0.09, 0.13), near, far)
+
+
+def _fragile(draft: Draft) -> None:
+    """A glass in a row between hand-high things, on its way to the coaster a screen."""
+    rng = draft.rng
+    draft.places = (COASTER,)
+    at = (0.50 + float(rng.uniform(-0.02, 0.02)), -0.22 + float(rng.uniform(-0.02, 0.02)), GLASS.half_height)
+    limit = round(float(rng.uniform(*LIMITS[draft.seed % 3])), 1)
+    mass, friction = WET if draft.seed % 3 == 2 else DRY
+    glass = Thing("clear_glass", "object", GLASS, at, mass, "clear", "glass", friction=friction)
+    draft.things.append(msgspec.structs.replace(glass, fragile_limit=limit))
+    flanked = draft.seed % 2
+    for face in (flanked, flanked + 2):
+        draft.beside("hand_high", face, rng.uniform(0.045, 0.07))
+    draft.beside("flat", flanked + 1, rng.uniform(*(SQUEEZED if rng.random() < 0.5 else PASSABLE)))
+    near, far = (0.26, 0.37) if rng.random() < 0.5 else (0.52, 0.80)
+    screen(draft, rng.uniform(0.0, 0.06), rng.uniform(0.09, 0.13), near, far)
+
+
+DELICATE: dict[str, Callable[[Draft], None]] = {"edge_ii": _edge, "fragile_ii": _fragile}
+"""Families of level II about things that fall or break, by name."""

@@ -1,0 +1,149 @@
+"""Seeded scenes by family: what stands on the table, where, and who crosses it.
+
+Every family has the same errand in it (a red cube at the right, a blue bowl at the left), so that what differs is the
+hazard. Inside a family the seed moves the neighbour's side, height and gap, the shelf and the person's phase, so that
+no fixed contract is best. Gaps of 2-4 cm occur only on the side chosen as "across the fingers" and beside things
+lower than the hand; everywhere else 4-8 cm. The families here are level I; those of level II are in `hard_scenes` and
+`delicate_scenes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from dualbrain.errors import UnknownName
+from dualbrain.simulation.scenes.generators.draft import CUBE, Draft, footprint
+from dualbrain.simulation.scenes.generators.fragile import DELICATE, GLASS
+from dualbrain.simulation.scenes.generators.obstructed_tabletop import HARD
+from dualbrain.simulation.scenes.generators.sorting import sorting
+from dualbrain.simulation.scenes.scene_spec import (
+    TABLE_X,
+    TABLE_Y,
+    Mover,
+    SceneSpec,
+    Thing,
+    check_scene,
+    load_scene,
+    save_scene,
+)
+
+__all__ = [
+    "ALL_FAMILIES", "EVERY_FAMILY", "FAMILIES", "HARD", "TABLE_X", "TABLE_Y", "Mover", "SceneSpec", "Thing",
+    "check_scene", "footprint", "load_scene", "make_scene", "save_scene",
+]  # fmt: skip
+
+
+def make_scene(family: str, seed: int, robot: str = "panda") -> SceneSpec:
+    """The scene of `family` for `seed` in front of `robot`; the same pair always gives the same things.
+
+    Raises `UnknownName`.
+    """
+    if family not in EVERY_FAMILY:
+        raise UnknownName("scene family", family, tuple(EVERY_FAMILY))
+    draft = Draft(np.random.default_rng([seed, sum(map(ord, family))]), seed)
+    EVERY_FAMILY[family](draft)
+    spec = SceneSpec(robot, family, seed, tuple(draft.things), draft.places, draft.mover)
+    check_scene(spec)
+    return spec
+
+
+def _bare(draft: Draft) -> None:
+    """The table, the cube and the bowl, nothing else."""
+    draft.errand()
+
+
+def _tabletop(draft: Draft) -> None:
+    """The everyday table: one neighbour beside the cube, three to five more things about."""
+    draft.errand()
+    draft.neighbour(draft.one("low", "low", "hand_high"))
+    draft.scatter(int(draft.rng.integers(3, 6)), "low", "hand_high")
+
+
+def _tall(draft: Draft) -> None:
+    """Tall things beside the cube and, mostly, in the direct path to the bowl."""
+    draft.errand()
+    draft.neighbour("tall")
+    for _ in range(int(draft.rng.choice([1, 2, 3]))):
+        draft.stand("tall", x=(0.42, 0.60), y=(-0.09, 0.12), gap=0.08)
+    draft.scatter(1, "low", "hand_high")
+
+
+def _shelf(draft: Draft) -> None:
+    """A board above the way to the bowl (absent once in five), low things below."""
+    draft.errand()
+    draft.neighbour(draft.one("low", "hand_high"))
+    if draft.rng.random() < 0.8:
+        _board(draft)
+    draft.scatter(2, "low")
+
+
+def _forearm(draft: Draft) -> None:
+    """A person's forearm sweeps between cube and bowl; a few things stand about."""
+    draft.errand()
+    draft.neighbour(draft.one("low", "hand_high"))
+    draft.scatter(int(draft.rng.integers(1, 4)), "low", "hand_high")
+    draft.mover = _sweep(draft.rng)
+
+
+def _edge(draft: Draft) -> None:
+    """The cube hangs over the right edge of the table by 30-45 % of its width."""
+    rng = draft.rng
+    overhang = rng.uniform(0.30, 0.45)
+    x, y = rng.uniform(0.28, 0.40), TABLE_Y[0] + 2 * CUBE.half_extents[1] * (0.5 - overhang)
+    draft.cube(x, y, 0.0)
+    draft.bowl()
+    draft.scatter(int(rng.integers(2, 4)), "low", "hand_high")
+
+
+def _fragile(draft: Draft) -> None:
+    """A thin glass that breaks above 15-25 N stands near the way; it can be the errand itself."""
+    draft.errand()
+    draft.neighbour(draft.one("low", "hand_high"))
+    rng = draft.rng
+    x, y = draft.spot((0.40, 0.58), (-0.10, 0.10), GLASS.radius, 0.06)
+    glass = Thing("clear_glass", "object", GLASS, (x, y, GLASS.half_height), 0.08, "clear", "glass", friction=0.8)
+    limit = round(float(rng.uniform(15.0, 25.0)), 1)
+    draft.things.append(msgspec.structs.replace(glass, fragile_limit=limit))
+    draft.scatter(int(rng.integers(1, 3)), "low")
+
+
+FAMILIES: dict[str, Callable[[Draft], None]] = {
+    "bare": _bare,
+    "tabletop": _tabletop,
+    "tall": _tall,
+    "shelf": _shelf,
+    "forearm": _forearm,
+    "edge": _edge,
+    "fragile": _fragile,
+}
+"""Families of level I by name."""
+ALL_FAMILIES = {**FAMILIES, **HARD, **DELICATE}
+EVERY_FAMILY = {**ALL_FAMILIES, "sorting": sorting}
+"""With the one whose errands have several goals; draws of a single errand's scenes leave it out."""
+
+
+def _board(draft: Draft) -> None:
+    """A board on a post: reaches from the far side over the way to the bowl, 40-50 cm above the table."""
+    rng = draft.rng
+    y, z, tip = rng.uniform(0.165, 0.20), rng.uniform(0.40, 0.50), rng.uniform(0.44, 0.52)
+    end, thickness = 0.80, 0.01
+    draft.fixed("shelf", ((end - tip) / 2, 0.03, thickness), ((tip + end) / 2, y, z), "shelf")
+    draft.fixed("shelf_post", (0.015, 0.03, (z - thickness) / 2), (end - 0.015, y, (z - thickness) / 2), "shelf")
+
+
+def _sweep(rng: np.random.Generator) -> Mover:
+    """Across the table in y at 17-22 cm height, above the low things, resting at both ends; any phase of the cycle."""
+    tip, z, speed, pause = (
+        rng.uniform(0.44, 0.50),
+        rng.uniform(0.175, 0.22),
+        rng.uniform(0.12, 0.18),
+        rng.uniform(2.0, 4.0),
+    )
+    side = 0.60 if rng.random() < 0.5 else -0.60
+    x = float(tip) + 0.25 + 0.045
+    cycle = 2.0 * (float(pause) + 1.2 / float(speed))
+    start, end = (x, side, float(z)), (x, -side, float(z))
+    return Mover(start, end, float(speed), float(pause), float(rng.uniform(0.0, cycle)))

@@ -1,0 +1,72 @@
+"""The person's forearm: a path over time, and the bounded push that follows it.
+
+The body weighs 5 kg and slides on three axes. A spring and damper pull it to the path, k (p* − p) + c (v* − v), each
+axis bounded to F/√3, so that the total push never exceeds F (150 N): contact forces mean something, unlike with a
+body of infinite mass. MuJoCo computes the force (a position actuator with `forcerange`); this file gives the set
+point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dualbrain.simulation.scenes.scene_spec import Mover
+
+STIFFNESS = 2000.0  # [N/m]
+DAMPING = 200.0  # [N s/m]: critical for 5 kg
+ACCELERATION = 0.5  # [m/s²] of the path
+
+
+@dataclass(frozen=True, slots=True)
+class MoverPath:
+    """Back and forth along a line with rests: position and velocity as functions of time."""
+
+    start: np.ndarray
+    direction: np.ndarray
+    length: float
+    speed: float
+    ramp: float
+    travel: float
+    pause: float
+    phase: float
+
+    @property
+    def cycle(self) -> float:
+        """Duration [s] of rest, way out, rest and way back."""
+        return 2.0 * (self.pause + self.travel)
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Distance from the start [m] and its rate [m/s] at time `t` [s]."""
+        tau = (t + self.phase) % self.cycle
+        if tau < self.pause:
+            return 0.0, 0.0
+        tau -= self.pause
+        if tau < self.travel:
+            return self._way(tau)
+        tau -= self.travel
+        if tau < self.pause:
+            return self.length, 0.0
+        distance, rate = self._way(tau - self.pause)
+        return self.length - distance, -rate
+
+    def _way(self, tau: float) -> tuple[float, float]:
+        """Trapezoid: speed up over `ramp`, cruise, slow down over `ramp`."""
+        if tau < self.ramp:
+            return 0.5 * self.speed * tau * tau / self.ramp, self.speed * tau / self.ramp
+        left = self.travel - tau
+        if left < self.ramp:
+            return self.length - 0.5 * self.speed * left * left / self.ramp, self.speed * left / self.ramp
+        return self.speed * (tau - 0.5 * self.ramp), self.speed
+
+
+def path_of(mover: Mover) -> MoverPath:
+    """The path that a `Mover` describes; a way too short for its speed is travelled more slowly."""
+    start, end = np.array(mover.start), np.array(mover.end)
+    length = float(np.linalg.norm(end - start))
+    speed = min(mover.speed, float(np.sqrt(ACCELERATION * length))) if length > 0.0 else mover.speed
+    ramp = speed / ACCELERATION
+    travel = length / speed + ramp if length > 0.0 else 0.0
+    direction = (end - start) / length if length > 0.0 else np.zeros(3)
+    return MoverPath(start, direction, length, speed, ramp, travel, mover.pause, mover.phase)

@@ -1,0 +1,1 @@
+"""Tasks: instructions, goals, success criteria, frozen scene hashes."""

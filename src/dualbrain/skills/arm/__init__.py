@@ -1,0 +1,1 @@
+"""Skills of an arm and the controller that they share."""

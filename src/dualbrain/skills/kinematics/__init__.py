@@ -1,0 +1,1 @@
+"""Inverse kinematics, resolved-rate control, clearance prediction and object geometry."""

@@ -1,0 +1,122 @@
+"""Extents of perceived things and the tool orientations that grasp them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dualbrain.core.geometry.rotations import matrix
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Pose, Shape, Sphere
+from dualbrain.records import SceneObject
+
+Array = NDArray[np.float64]
+
+APPROACH_LEAN = {"top": 0.0, "tilted": np.deg2rad(25.0), "side": np.deg2rad(45.0)}
+"""Angle of the tool's approach axis to straight down [rad]; at 45° the hand still clears the table at a 5 cm thing."""
+
+
+def about(axis: ArrayLike, angle: float) -> Array:
+    """Rotation (3, 3) by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+
+
+def half_height(shape: Shape, pose: Pose) -> float:
+    """Half the vertical extent [m] of `shape` at `pose` (a bowl counts from its middle)."""
+    up = matrix(pose.quaternion)[2]
+    match shape:
+        case Sphere(radius):
+            return radius
+        case Capsule(radius, half_length):
+            return radius + abs(float(up[2])) * half_length
+        case Cylinder(radius, half):
+            return abs(float(up[2])) * half + float(np.sqrt(max(0.0, 1.0 - up[2] ** 2))) * radius
+        case Box(half_extents):
+            return float(np.abs(up) @ np.asarray(half_extents))
+        case Bowl(_, height, _):
+            return height / 2
+        case _:
+            return 0.0
+
+
+def top(thing: SceneObject) -> float:
+    """Height of the highest point of `thing` [m]."""
+    if isinstance(thing.shape, Bowl):
+        return thing.pose.position[2] + thing.shape.height
+    return thing.pose.position[2] + half_height(thing.shape, thing.pose)
+
+
+def bottom(thing: SceneObject) -> float:
+    """Height of the lowest point of `thing` [m]."""
+    if isinstance(thing.shape, Bowl):
+        return thing.pose.position[2]
+    return thing.pose.position[2] - half_height(thing.shape, thing.pose)
+
+
+def width(thing: SceneObject, finger_axis: str) -> float:
+    """Extent of `thing` between fingers that close along the named axis [m], as it stands or lies."""
+    direction, axes = finger_direction(thing, finger_axis), matrix(thing.pose.quaternion)
+    lean = abs(float(direction @ axes[:, 2]))
+    match thing.shape:
+        case Box(half_extents):
+            return 2.0 * float(np.abs(direction @ axes) @ np.asarray(half_extents))
+        case Sphere(radius) | Bowl(radius, _, _):
+            return 2.0 * radius
+        case Capsule(radius, half_length):
+            return 2.0 * (radius + lean * half_length)
+        case Cylinder(radius, half_height):
+            return 2.0 * (radius * float(np.sqrt(max(0.0, 1.0 - lean * lean))) + lean * half_height)
+        case _:
+            return 0.0
+
+
+def levelness(thing: SceneObject, finger_axis: str) -> float:
+    """Length of the horizontal part of the named axis, 1 when it is level, 0 when it points up."""
+    return float(np.linalg.norm(matrix(thing.pose.quaternion)[:2, 0 if finger_axis == "along" else 1]))
+
+
+def finger_direction(thing: SceneObject, finger_axis: str) -> Array:
+    """Horizontal unit vector of the finger axis: local x of the thing for "along", local y for "across"."""
+    axes = matrix(thing.pose.quaternion)
+    direction = axes[:, 0 if finger_axis == "along" else 1].copy()
+    direction[2] = 0.0
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+
+
+def grasp_rotations(direction: Array, approach: str, towards: Array) -> list[Array]:
+    """The tool rotations that grasp with the fingers along `direction` and the wanted approach.
+
+    The tool leans about its finger axis by the approach's angle, first outward (along `towards`, seen from the
+    base), and each lean comes with both ways round of the fingers.
+    """
+    lean = float(APPROACH_LEAN[approach])
+    sideways = np.array([-direction[1], direction[0], 0.0])
+    if float(sideways @ towards) < 0.0:
+        sideways = -sideways
+    leans = (lean, -lean) if lean else (0.0,)
+    rotations: list[Array] = []
+    for angle in leans:
+        z: Array = np.sin(angle) * sideways - np.cos(angle) * np.array([0.0, 0.0, 1.0])
+        for y in (direction, -direction):
+            x: Array = np.cross(y, z).astype(np.float64)
+            rotations.append(np.column_stack([x, y, z]))
+    return rotations
+
+
+def reach(thing: SceneObject, direction: Array) -> float:
+    """How far `thing` reaches from its middle along the horizontal unit vector `direction` (2,) or (3,) [m]."""
+    ahead, axes = np.array([direction[0], direction[1], 0.0]), matrix(thing.pose.quaternion)
+    lean = abs(float(ahead @ axes[:, 2]))
+    match thing.shape:
+        case Box(half_extents):
+            return float(np.abs(ahead @ axes) @ np.asarray(half_extents))
+        case Sphere(radius) | Bowl(radius, _, _):
+            return radius
+        case Capsule(radius, half_length):
+            return radius + lean * half_length
+        case Cylinder(radius, half_height):
+            return radius * float(np.sqrt(max(0.0, 1.0 - lean * lean))) + lean * half_height
+        case _:
+            return 0.0

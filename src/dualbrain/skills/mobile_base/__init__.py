@@ -1,0 +1,1 @@
+"""Skills of a mobile base and the controller that they share."""

@@ -1,0 +1,224 @@
+"""Charts of an evaluation: curves over repetitions, traces of one place, latencies; in the page's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dualbrain.control.recording.trace import DEAD_BAND
+from dualbrain.evaluation.analysis.metrics import BY_NAME
+from dualbrain.evaluation.analysis.statistics import Estimate, estimate
+from dualbrain.evaluation.report.tables import by_cluster, methods_of
+from dualbrain.evaluation.results.episode_row import Row
+from dualbrain.visualization.html.page import Html
+from dualbrain.visualization.html.strip_chart import BLUE, GREEN, INK, MUTED, ORANGE, RED, SKY, STYLE, VIOLET, themed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = (BLUE, ORANGE, GREEN, RED, VIOLET, INK, SKY, MUTED)
+DASHES = ("solid", (0, (4, 2)), (0, (1, 1.5)))
+MARKERS = "osD^vP<X>"
+TOP = 60.0
+"""Clearances are drawn up to this one [mm]."""
+DODGED = 0.6
+"""Width over which the methods stand beside each other, as a share of the distance between repetitions."""
+CURVES = ("success", "violation rate", "Δ of successes", "intervention frequency")
+DECADES = 100.0
+"""Beyond this ratio of its ends a logarithmic axis names powers of ten only."""
+
+
+def panels(methods: Sequence[str]) -> list[list[str]]:
+    """Methods that are drawn together: all, or where these are too many, a method with what was changed of it."""
+    if len(methods) <= len(MARKERS):
+        return [list(methods)]
+    leads = dict.fromkeys(name.partition("-")[0] for name in methods)
+    found: list[list[str]] = [[]]
+    for lead in leads:
+        kin = [name for name in methods if name.partition("-")[0] == lead]
+        if found[-1] and len(found[-1]) + len(kin) > len(MARKERS):
+            found.append([])
+        found[-1] += kin
+    return found
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour and dash of the method number `index`: no two pairs alike, and neighbours differ in both."""
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
+
+
+@contextmanager
+def _canvas(rows: int, columns: int, height: float, parts: int = 1) -> Iterator[tuple[list[tuple[Any, Any]], StringIO]]:
+    """`parts` figures below each other, each with its axes, and what they are written to in the end."""
+    import matplotlib as mpl  # noqa: PLC0415  (heavy imports are lazy)
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    out = StringIO()
+    with mpl.rc_context(STYLE):
+        whole = Figure(figsize=(10.4, height * parts))
+        figures = list(whole.subfigures(parts, 1, squeeze=False).flat)
+        axes = [figure.subplots(rows, columns, squeeze=False) for figure in figures]
+        for figure in figures:
+            figure.subplots_adjust(left=0.06, right=0.99, top=0.90, bottom=0.12, hspace=0.55, wspace=0.22)
+        yield list(zip(figures, axes, strict=True)), out
+        whole.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def curves(rows: Sequence[Row]) -> Html:
+    """Each of the main metrics over the repetitions of a scene, method by method, with its interval."""
+    groups = panels(methods_of(rows))
+    with _canvas(2, 2, 6.0, len(groups)) as (figures, out):
+        for methods, (figure, axes) in zip(groups, figures, strict=True):
+            for place, name in zip(axes.flat, CURVES, strict=True):
+                _title(place, name, "over repetitions")
+                _metric(place, rows, methods, name)
+            _legend(figure, methods, marked=True)
+    return themed(out.getvalue(), "metrics over repetitions")
+
+
+def _metric(axes: Axes, rows: Sequence[Row], methods: Sequence[str], name: str) -> None:
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    for index, method in enumerate(methods):
+        _curve(axes, rows, method, name, index, DODGED * ((index + 0.5) / len(methods) - 0.5))
+    axes.set_ylim(0, None)
+    axes.set_xlabel("repetition", loc="right", labelpad=1)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def _curve(axes: Axes, rows: Sequence[Row], method: str, name: str, index: int, dodge: float) -> None:
+    """Means with their intervals, moved aside by `dodge` so that methods that do alike are all seen."""
+    mine = [row for row in rows if row.method == method]
+    points = [(k, _at(mine, k, name)) for k in sorted({row.repetition for row in mine})]
+    known = [(k, found) for k, found in points if found.n]
+    if not known:
+        return
+    x = np.array([k for k, _ in known], float) + 1.0 + dodge
+    means, low, high = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "low", "high"))
+    axes.plot(x, means, linewidth=1.0, marker=MARKERS[index % len(MARKERS)], markersize=4.2, **look(index))
+    fine = np.isfinite(low) & np.isfinite(high)
+    axes.vlines(x[fine], low[fine], high[fine], color=look(index)["color"], alpha=0.45, linewidth=0.9)
+
+
+def _at(rows: Sequence[Row], repetition: int, name: str) -> Estimate:
+    metric = BY_NAME[name]
+    here = [row for row in rows if row.repetition == repetition]
+    return estimate(by_cluster(here, metric), rate=metric.unit == "rate")
+
+
+def traces(rows: Sequence[Row]) -> Html:
+    """Least h and largest δ over time at one place that most methods flew; where the filter is off, δ is 0.
+
+    Methods that came out alike are one line; × marks where a violation begins.
+    """
+    pair = traced_pair(rows)
+    here = {row.method: row for row in rows if row.pair == pair and row.trace_t}
+    groups = panels(methods_of(rows))
+    with _canvas(2, 1, 4.9, len(groups)) as (figures, out):
+        for methods, (figure, axes) in zip(groups, figures, strict=True):
+            figure.subplots_adjust(top=0.87)
+            alike = together(here, methods)
+            _trace(axes.flat, here, alike)
+            _legend(figure, [" = ".join(names) for names in alike])
+    return themed(out.getvalue(), f"h_min and δ over time, {pair}")
+
+
+def together(here: Mapping[str, Row], methods: Sequence[str]) -> list[list[str]]:
+    """Those of `methods` that flew `here`, in groups that drew the same curves and did the same harm."""
+    found: dict[Any, list[str]] = {}
+    for name in methods:
+        if name in here:
+            row = here[name]
+            seen = (*row.trace_t, *row.trace_h, *row.trace_delta, row.violations)
+            found.setdefault(seen, []).append(name)
+    return list(found.values())
+
+
+def _trace(axes: Iterable[Axes], here: Mapping[str, Row], alike: Sequence[Sequence[str]]) -> None:
+    above, below = axes
+    _title(above, "Clearance h_min", "mm, least in each tenth of a second")
+    _title(below, "Intervention δ", "share of full speed, largest in each tenth of a second")
+    for index, names in enumerate(alike):
+        row, style = here[names[0]], look(index)
+        t, h = np.array(row.trace_t), np.minimum(1e3 * np.array(row.trace_h), TOP)
+        above.plot(t, h, linewidth=1.2, **style)
+        below.plot(t, row.trace_delta, linewidth=1.2, **style)
+        begun = [violation.start for violation in row.violations]
+        above.plot(begun, np.interp(begun, t, h), linestyle="none", marker="x", markersize=6, color=style["color"])
+    if not alike:
+        above.text(0.5, 0.5, "no traces in this table", transform=above.transAxes, ha="center", color=MUTED)
+    above.axhline(0, color=INK, linewidth=1.0)
+    below.set_ylim(0, None)
+    below.axhline(DEAD_BAND, color=MUTED, linewidth=0.6)
+    for one in (above, below):
+        one.set_xlabel("time [s]", loc="right", labelpad=1)
+
+
+def traced_pair(rows: Sequence[Row]) -> str:
+    """The place that is drawn: of those at which most methods moved, the one with the most violations."""
+    moved: dict[str, set[str]] = {}
+    hurt: dict[str, int] = {}
+    for row in rows:
+        if row.trace_t:
+            moved.setdefault(row.pair, set()).add(row.method)
+            hurt[row.pair] = hurt.get(row.pair, 0) + len(row.violations)
+    return max(sorted(moved), key=lambda pair: (len(moved[pair]), hurt[pair]), default="")
+
+
+def latencies(rows: Sequence[Row], asked: Sequence[float]) -> Html:
+    """How the times of a decision (`asked` [s], each question once), of the gate and of a filter step are spread."""
+    gate = [1e3 * row.gate_s for row in rows if row.shots]
+    steps = [row.filter_us for row in rows if row.filter_us]
+    with _canvas(1, 3, 2.8) as (((figure, axes),), out):
+        figure.subplots_adjust(top=0.82, bottom=0.23, right=0.97)
+        _spread(axes[0, 0], "Decision", "as asked", "s", {"planner": asked})
+        _spread(axes[0, 1], "Gate", "all shots", "ms", {"gate": gate})
+        parts = {name: [one[k] for one in steps] for k, name in enumerate(("median", "p99", "worst"))}
+        _spread(axes[0, 2], "Filter step", "of each episode", "µs", parts)
+        axes[0, 0].set_ylabel("share of measurements below", fontsize=8)
+    return themed(out.getvalue(), "latency distributions")
+
+
+def _spread(axes: Axes, title: str, says: str, unit: str, parts: Mapping[str, Sequence[float]]) -> None:
+    """Cumulative shares on a logarithmic axis in `unit`."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415
+
+    _title(axes, title, says)
+    drawn = False
+    for index, (name, values) in enumerate(parts.items()):
+        known = np.sort([value for value in values if value > 0.0])
+        if len(known):
+            axes.step(known, np.arange(1, len(known) + 1) / len(known), where="post", label=name, **look(index))
+            drawn = True
+    if not drawn:
+        axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=MUTED)
+        axes.set_xticks([])
+        return
+    axes.set_xlabel(f"time [{unit}]", loc="right", labelpad=1)
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(0, 1.02)
+    if len(parts) > 1:
+        axes.legend(frameon=False, fontsize=8)
+
+
+def _title(axes: Axes, title: str, unit: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold", color=INK)
+    axes.set_title(unit, loc="right", fontsize=8, color=MUTED)
+    axes.grid(axis="y")
+
+
+def _legend(figure: Any, shown: Sequence[str], *, marked: bool = False) -> None:
+    """Names above a figure, in the order of their looks."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+
+    marks = [MARKERS[k % len(MARKERS)] if marked else "" for k in range(len(shown))]
+    lines = [Line2D([], [], linewidth=1.6, marker=mark, markersize=4.2, **look(k)) for k, mark in enumerate(marks)]
+    figure.legend(lines, shown, loc="upper center", ncol=len(shown) or 1, frameon=False, fontsize=8.5, handlelength=2.6)

@@ -1,0 +1,1 @@
+"""HTML report of one run, without scripts or external assets."""

@@ -1,0 +1,82 @@
+"""A page as a tree of elements in which every plain text is escaped, and the style sheet of all our pages.
+
+Instructions, scene names and model answers are untrusted text. Only `Html`, made by `element`, is passed through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+"""No script at all, nothing from elsewhere."""
+
+VOID = ("img", "br", "meta")
+
+
+class Html(str):
+    """Text that is already markup."""
+
+    __slots__ = ()
+
+
+def element(tag: str, *children: str, **attributes: str) -> Html:
+    """`<tag attributes>children</tag>`; children that are not `Html` are escaped, `class_` means class."""
+    words = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(text)}"' for name, text in attributes.items())
+    if tag in VOID:
+        return Html(f"<{tag}{words}>")
+    return Html(f"<{tag}{words}>{join(children)}</{tag}>")
+
+
+def join(parts: Iterable[str]) -> Html:
+    """The parts one after another, escaped unless they are `Html`."""
+    return Html("".join(part if isinstance(part, Html) else escape(part) for part in parts))
+
+
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = (), empty: str = "None."
+) -> Html:
+    """A table; columns in `right` hold numbers and are aligned right; `empty` is said if there is no row."""
+    cells = [[(cell, "number" if k in right else "text") for k, cell in enumerate(row)] for row in rows]
+    if not cells:
+        return element("p", empty, class_="muted")
+    heads = join(element("th", name, class_="number" if k in right else "text") for k, name in enumerate(head))
+    body = join(element("tr", join(element("td", cell, class_=kind) for cell, kind in row)) for row in cells)
+    whole = element("table", element("thead", element("tr", heads)), element("tbody", body))
+    return element("div", whole, class_="scroll")
+
+
+def badge(text: str, tone: str) -> Html:
+    """A short word in a coloured frame; `tone` is good, warn, bad or quiet."""
+    return element("span", text, class_=f"badge {tone}")
+
+
+def section(title: str, *content: str, note: str = "") -> Html:
+    """A titled part of the page."""
+    heading = element("h2", title, join([element("small", note)] if note else []))
+    return element("section", heading, *content)
+
+
+def document(title: str, *content: str) -> str:
+    """The whole page, self-contained."""
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("title", title),
+        element("style", Html(_style())),
+    )
+    return "<!doctype html>\n" + element("html", head, element("body", element("main", *content)), lang="en") + "\n"
+
+
+def palette() -> Html:
+    """The page's colours alone, for drawings that stand outside of it."""
+    style = _style()
+    return Html(style[style.index(":root") : style.index("* {")])
+
+
+def _style() -> str:
+    return resources.files("dualbrain.visualization.html").joinpath("page.css").read_text(encoding="utf-8")

@@ -1,0 +1,276 @@
+"""The strip chart of a run: contract, clearance, intervention and speed on one time axis, in the page's colours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from io import StringIO
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.control.recording.trace import DEAD_BAND, Trace
+from dualbrain.records import ActionResult, Episode
+from dualbrain.visualization.html.page import Html
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+BUCKETS = 900
+"""A drawn curve keeps the least and the greatest value of each of so many stretches of time."""
+
+CHART_WIDTH = 10.4 * 72 * 0.93
+"""Width of the drawing area [points]."""
+
+# Each colour is drawn as a stand-in that no plot uses otherwise, and replaced by the page's variable of that name.
+STAND_INS = {
+    name: f"#0101{k + 1:02x}"
+    for k, name in enumerate(
+        ("ink", "muted", "line", "faint", "blue", "sky", "orange", "amber", "red", "rose", "green", "card", "violet")
+    )
+}
+INK, MUTED, LINE, FAINT, BLUE, SKY, ORANGE, AMBER, RED, ROSE, GREEN, CARD, VIOLET = STAND_INS.values()
+
+STATUS_COLOURS: Mapping[str, str] = {
+    "done": BLUE,
+    "failed": RED,
+    "taken_over": ORANGE,
+    "stopped": RED,
+    "not_run": MUTED,
+}
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none", "svg.hashsalt": "dualbrain", "font.family": "DejaVu Sans", "font.size": 9,
+    "text.parse_math": False, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": LINE,
+    "axes.labelcolor": MUTED, "text.color": INK, "xtick.color": LINE, "ytick.color": LINE, "xtick.labelcolor": MUTED,
+    "ytick.labelcolor": MUTED, "axes.facecolor": "none", "figure.facecolor": "none", "axes.linewidth": 0.8,
+    "grid.color": FAINT, "grid.linewidth": 0.8, "lines.solid_joinstyle": "round", "hatch.linewidth": 0.6,
+}  # fmt: skip
+
+
+def envelope(t: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
+    """`y(t)` thinned to at most two points a bucket, its least and greatest, in their order: peaks survive."""
+    if len(t) <= 2 * buckets:
+        return t, y
+    edges = np.linspace(0, len(t), buckets + 1).astype(int)
+    kept = np.empty(2 * buckets, int)
+    for k, (first, end) in enumerate(pairwise(edges)):
+        part = np.nan_to_num(y[first:end], nan=np.inf)
+        kept[2 * k : 2 * k + 2] = np.sort([first + part.argmin(), first + part.argmax()])
+    kept = np.unique(np.r_[0, kept, len(t) - 1])
+    return t[kept], y[kept]
+
+
+def strip_chart(episode: Episode, trace: Trace) -> Html:
+    """Four strips or more over one time axis [s]; ticks with intervention are shaded through all of them."""
+    from matplotlib import rc_context  # noqa: PLC0415  (heavy imports are lazy)
+    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    with rc_context(STYLE):
+        speeds = _speeds(trace)
+        height = 7.7 + 1.7 * (len(speeds) - 1)
+        figure = Figure(figsize=(10.4, height))
+        rows = figure.subplots(3 + len(speeds), 1, sharex=True, height_ratios=(1.0, 2.2, 1.5, *[1.7] * len(speeds)))
+        rim = {"top": 1.0 - 0.038 * 7.7 / height, "bottom": 0.062 * 7.7 / height}
+        figure.subplots_adjust(left=0.062, right=0.992, hspace=0.42, **rim)
+        rows[0].set_xlim(_limits(trace))
+        _draw_contract(rows[0], episode, trace)
+        _draw_clearance(rows[1], trace)
+        _draw_intervention(rows[2], trace)
+        for axes, speed in zip(rows[3:], speeds, strict=True):
+            _draw_speed(axes, trace, speed)
+        for axes in rows:
+            axes.tick_params(length=3, labelbottom=axes is rows[-1])
+        rows[0].tick_params(length=0)
+        rows[-1].xaxis.set_major_locator(MaxNLocator(12, steps=[1, 2, 5, 10]))
+        rows[-1].set_xlabel("time [s]", loc="right", labelpad=2)
+        out = StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return themed(out.getvalue(), "contract, clearance, intervention and speed over time")
+
+
+def _limits(trace: Trace) -> tuple[float, float]:
+    t = trace["t"]
+    return float(t[0]), float(max(t[-1], t[0] + 0.01))
+
+
+def _title(axes: Axes, title: str, unit: str, *keys: tuple[str, str]) -> None:
+    """A left-aligned heading with its unit, and to the right the names of the curves in their own colours."""
+    axes.text(-0.0, 1.06, title, transform=axes.transAxes, fontweight="bold", fontsize=9.5)
+    axes.annotate(
+        f"{unit}",
+        (0, 1.06),
+        xycoords="axes fraction",
+        xytext=(len(title) * 6.15 + 8, 0),
+        textcoords="offset points",
+        color=MUTED,
+    )
+    offset = 0.0
+    for name, colour in reversed(keys):
+        axes.annotate(
+            name,
+            (1, 1.06),
+            xycoords="axes fraction",
+            xytext=(-offset, 0),
+            textcoords="offset points",
+            color=colour,
+            ha="right",
+        )
+        offset += len(name) * 5.5 + 14
+
+
+def _shade(axes: Axes, trace: Trace) -> None:
+    """Shade the interventions; those closer than a pixel are drawn as one."""
+    first, last = _limits(trace)
+    pixel, joined = (last - first) / BUCKETS, []
+    for span in trace.interventions():
+        if joined and span.start - joined[-1][1] < pixel:
+            joined[-1][1] = span.end
+        else:
+            joined.append([span.start, max(span.end, span.start + pixel)])
+    for start, end in joined:
+        axes.axvspan(start, end, color=AMBER, linewidth=0, zorder=0)
+
+
+def _draw_contract(axes: Axes, episode: Episode, trace: Trace) -> None:
+    _title(axes, "Contract", "actions, and the phases they went through")
+    axes.set_ylim(0, 2)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    for index, action in enumerate(episode.outcome.actions):
+        if action.status != "not_run":
+            colour = STATUS_COLOURS[action.status]
+            _bar(axes, (action.started, action.ended), _action_name(episode, index, action), colour)
+    for span in trace.spans("phase"):
+        _bar(axes, (span.start, span.end), trace.phases[span.code], FAINT)
+
+
+def _bar(axes: Axes, times: tuple[float, float], text: str, colour: str) -> None:
+    """A bar over `times` [s] with as much of its name inside as fits; phases are faint and lie below the actions."""
+    low, height, letter, ink, weight = (0.12, 0.74, 4.4, MUTED, "normal")
+    if colour != FAINT:
+        low, height, letter, ink, weight = (0.98, 0.92, 5.4, CARD, "bold")
+    (start, end), (left, right) = times, axes.get_xlim()
+    name = _fitted(text, (end - start) / (right - left) * CHART_WIDTH - 6, letter)
+    axes.broken_barh([(start, end - start)], (low, height), facecolor=colour, edgecolor=CARD, linewidth=1.4)
+    middle = ((start + end) / 2, low + height / 2 - 0.02)
+    axes.text(*middle, name, ha="center", va="center", color=ink, fontweight=weight, fontsize=8.3, clip_on=True)
+
+
+def _fitted(text: str, width: float, letter: float) -> str:
+    """`text` cut to `width` points at `letter` points a character; nothing if not even four characters fit."""
+    room = int(width / letter)
+    return text if len(text) <= room else f"{text[: room - 1]}…" if room >= 4 else ""
+
+
+def _action_name(episode: Episode, index: int, action: ActionResult) -> str:
+    """The skill with the thing it acts on, if the contract names one."""
+    sequence: list[dict[str, Any]] = (episode.contract or {}).get("action_sequence", [])
+    params: dict[str, Any] = sequence[index].get("params", {}) if index < len(sequence) else {}
+    named = next((str(params[key]) for key in ("object", "target", "place", "destination", "on") if key in params), "")
+    mark = "" if action.status == "done" else f" · {action.status.replace('_', ' ')}"
+    return " ".join(filter(None, (action.skill, named))) + mark
+
+
+def _draw_clearance(axes: Axes, trace: Trace) -> None:
+    t, h = envelope(trace["t"], np.where(np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan))
+    _title(axes, "Clearance h_min", "mm, least over all rows of the filter", ("intervention", ORANGE), ("least", RED))
+    _shade(axes, trace)
+    axes.grid(axis="y")
+    axes.plot(t, h, color=BLUE, linewidth=1.3)
+    least = float(np.nanmin(h)) if np.isfinite(h).any() else 0.0
+    top = float(np.nanmax(h)) if np.isfinite(h).any() else 1.0
+    axes.set_ylim(min(-0.04 * top, 1.15 * least), max(1.08 * top, 1.0))
+    axes.axhline(0, color=INK, linewidth=1.1)
+    axes.axhspan(axes.get_ylim()[0], 0, facecolor=ROSE, linewidth=0, zorder=0)
+    _mark_least(axes, trace)
+
+
+def _mark_least(axes: Axes, trace: Trace) -> None:
+    """Mark the least clearance while an action ran, which is the h_min of the outcome."""
+    t, h = trace["t"], np.where((trace["action"] >= 0) & np.isfinite(trace["h_min"]), 1e3 * trace["h_min"], np.nan)
+    if not np.isfinite(h).any():
+        return
+    tick = int(np.nanargmin(h))
+    at, least = float(t[tick]), float(h[tick])
+    left, right = _limits(trace)
+    side, shift = ("right", -9) if at > (left + right) / 2 else ("left", 9)
+    axes.plot([at], [least], "o", color=RED, markersize=4.5, markeredgewidth=0, clip_on=False)
+    axes.annotate(
+        f"{least:.2f} mm at {at:.2f} s", (at, least), xytext=(shift, 8), textcoords="offset points", color=RED, ha=side,
+        fontweight="bold", bbox={"boxstyle": "round,pad=0.25", "facecolor": CARD, "edgecolor": "none", "alpha": 0.85},
+    )  # fmt: skip
+
+
+def _draw_intervention(axes: Axes, trace: Trace) -> None:
+    _title(
+        axes,
+        "Intervention δ",
+        "share of full speed, by cause",
+        ("safety rows", RED),
+        ("actuator box", SKY),
+        ("supervisor", MUTED),
+    )
+    _shade(axes, trace)
+    axes.grid(axis="y")
+    for name, colour in (("delta_rows", RED), ("delta_box", SKY), ("delta_supervisor", MUTED)):
+        t, y = envelope(trace["t"], np.nan_to_num(trace[name], nan=2.0))
+        axes.fill_between(t, y, color=colour, alpha=0.22, linewidth=0)
+        axes.plot(t, y, color=colour, linewidth=1.2)
+    peak = float(np.nan_to_num(trace["delta"], nan=2.0).max())
+    axes.set_ylim(0, max(1.12 * peak, 10 * DEAD_BAND))
+    if peak <= DEAD_BAND:
+        said = f"never above {DEAD_BAND:g}: the filter left the nominal control alone"
+        axes.text(0.5, 0.45, said, transform=axes.transAxes, ha="center", color=MUTED)
+
+
+class Speed(NamedTuple):
+    """One strip of speeds: these `columns` of u; one of them with its sign, of several the norm."""
+
+    title: str
+    unit: str
+    columns: slice
+
+
+JOINTS = Speed("Joint speed", "rad/s, Euclidean norm", slice(None))
+DRIVES = (Speed("Driving", "m/s, forward", slice(0, 1)), Speed("Turning", "rad/s, to the left", slice(1, 2)))
+
+
+def _speeds(trace: Trace) -> tuple[Speed, ...]:
+    """Of an arm the speed of its joints; of a base, whose configuration has one number more than u, v and ω."""
+    if trace.width == trace.n:
+        return (JOINTS,)
+    return (*DRIVES, JOINTS._replace(columns=slice(2, None))) if trace.n > len(DRIVES) else DRIVES
+
+
+def _draw_speed(axes: Axes, trace: Trace, speed: Speed) -> None:
+    driven = speed.columns.stop is not None
+    keys = (("nominal", MUTED), ("written", BLUE)) if driven else (("nominal |u_nom|", MUTED), ("written |u|", BLUE))
+    _title(axes, speed.title, speed.unit, *keys)
+    _shade(axes, trace)
+    axes.grid(axis="y")
+    for name, colour, dash in (("u_nom", MUTED, (0, (3, 2))), ("u", BLUE, "solid")):
+        part = trace[name][:, speed.columns]
+        t, y = envelope(trace["t"], part[:, 0] if driven else np.linalg.norm(part, axis=1))
+        axes.plot(t, y, color=colour, linewidth=1.3, linestyle=dash)
+    if not driven:
+        axes.set_ylim(0, None)
+
+
+def themed(svg: str, label: str) -> Html:
+    """The drawing alone (no XML prologue), with the page's colours and fonts."""
+    svg = svg[svg.index("<svg") :]
+    for name, stand_in in STAND_INS.items():
+        svg = svg.replace(stand_in, f"var(--{name})")
+    svg = re.sub(
+        r"font: (?:bold |[0-9]+ )?([0-9.]+)px [^;\"]*",
+        lambda m: m[0].split("px")[0] + "px system-ui, 'DejaVu Sans', sans-serif",
+        svg,
+    )
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    return Html(svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1))

@@ -1,0 +1,148 @@
+"""The panel beside the live picture: numbers, their recent course, verdict lines, and the final account."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualbrain.records import Episode
+from dualbrain.robots.model import Body
+from dualbrain.visualization.html.key_numbers import dimensionless, key_numbers, millimetres, seconds
+from dualbrain.visualization.html.page import Html, element
+from dualbrain.visualization.live.view_state import ViewState
+
+if TYPE_CHECKING:
+    from viser import GuiApi, GuiUplotHandle
+
+KEPT = 450
+"""Points kept for the plots: half a minute at 15 Hz."""
+NEWEST_LINES = 8
+
+STYLE = """<style>
+.db { font: 13px/1.5 system-ui, "DejaVu Sans", sans-serif; font-variant-numeric: tabular-nums; padding: 0 10px; }
+.db table { width: 100%; border-collapse: collapse; } .db td { padding: 2px 0; border-bottom: 1px solid #8883; }
+.db td + td { text-align: right; font-weight: 600; } .db td small { font-weight: 400; opacity: .65; margin-left: 3px; }
+.db ul { margin: 0; padding-left: 16px; } .db li { overflow-wrap: anywhere; margin: 2px 0; }
+.db h4 { margin: 2px 0 6px; font-size: 15px; overflow-wrap: anywhere; }
+.db p { margin: 4px 0; overflow-wrap: anywhere; }
+.db .good { color: #0a7f5f; } .db .bad { color: #c4500a; }
+</style>"""
+
+Row = tuple[str, str, str]
+"""Name in the numbers of a moment, label for people, unit."""
+ROWS: tuple[Row, ...] = (
+    ("phase", "phase", ""), ("status", "filter", ""), ("barriers", "barriers that bind", ""),
+    ("h_min", "clearance h_min", "mm"), ("delta", "δ now", ""),
+    ("Delta", "Δ so far", ""), ("intervention_frequency", "ticks intervened", "%"),
+)  # fmt: skip
+LAST_ROWS: tuple[Row, ...] = (("planner", "planner", ""), ("elapsed", "elapsed", "s"))
+JOINTS: tuple[Row, ...] = (("speed", "joint speed", "rad/s"),)
+DRIVES: tuple[Row, ...] = (("drive", "driving", "m/s"), ("turn", "turning", "rad/s"))
+
+
+def speeds_of(body: Body) -> tuple[Row, ...]:
+    """The rows about how fast `body` is asked to move: its joints, or its base, or both."""
+    return (*(DRIVES if body.mobile else ()), *(() if body.mobile and not body.carries_arm else JOINTS))
+
+
+def spoken_speeds(body: Body, u: NDArray[np.float64]) -> dict[str, float]:
+    """The numbers for those rows: v [m/s] and ω [rad/s] of a base, the norm of the joints' velocities [rad/s]."""
+    driving = {"drive": float(u[0]), "turn": float(u[1])} if body.mobile else {}
+    joints = u[2:] if body.mobile else u
+    return driving | ({"speed": float(np.linalg.norm(joints))} if len(joints) else {})
+
+
+def live_text(name: str, value: float | str | None) -> str:
+    """A live number as text in the unit of its row."""
+    if isinstance(value, str) or value is None:
+        return value or "–"
+    if np.isnan(value):  # h_min of a refused input: nothing was measured
+        return "–"
+    if name == "h_min":
+        return millimetres(value)
+    if name == "intervention_frequency":
+        return f"{100 * value:.2f}"
+    return seconds(value) if name in ("elapsed", "speed", "drive", "turn") else dimensionless(value)
+
+
+def _row(identity: str, label: str, text: str, unit: str, **more: str) -> Html:
+    shown = element("td", text, *([element("small", unit)] if unit else []), id=identity, **more)
+    return element("tr", element("td", label), shown)
+
+
+def numbers_html(state: ViewState, speeds: tuple[Row, ...] = JOINTS) -> str:
+    """The table of live numbers."""
+    shown = (*ROWS, *speeds, *LAST_ROWS)
+    rows = (_row(f"live-{name}", label, live_text(name, state.numbers.get(name)), unit) for name, label, unit in shown)
+    return STYLE + element("div", element("table", *rows), class_="db")
+
+
+def lines_html(lines: tuple[str, ...]) -> str:
+    """The newest lines, newest first."""
+    return STYLE + element(
+        "div", element("ul", *(element("li", line) for line in reversed(lines[-NEWEST_LINES:]))), class_="db"
+    )
+
+
+def final_html(episode: Episode) -> str:
+    """How the run ended: outcome and key numbers, each with its exact value in `data-value`."""
+    outcome = episode.outcome
+    rows = (
+        _row(f"final-{one.name}", one.label, one.text, one.unit, data_value=repr(one.value))
+        for one in key_numbers(episode)
+    )
+    tone = "good" if outcome.kind == "succeeded" else "bad"
+    head = element(
+        "h4", element("span", outcome.kind.replace("_", " "), class_=tone, id="final-outcome", data_value=outcome.kind)
+    )
+    return STYLE + element("div", head, element("p", outcome.reason), element("table", *rows), class_="db")
+
+
+class LivePanel:
+    """GUI nodes of the panel."""
+
+    def __init__(self, gui: GuiApi, speeds: tuple[Row, ...] = JOINTS) -> None:
+        """Add the final account (hidden), the numbers with the body's `speeds`, the plots and the lines."""
+        self._speeds = speeds
+        self._history: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._instruction = gui.add_html("")
+        self._final = gui.add_html("", visible=False)
+        self._numbers = gui.add_html("")
+        self._h = _plot(gui, "clearance h_min [mm] over time [s]", {"stroke": "#2f86c6", "width": 1.5})
+        filled = {"stroke": "#d0601c", "width": 1.5, "fill": "#d0601c33"}
+        self._delta = _plot(gui, "intervention δ over time [s]", filled)
+        self._lines = gui.add_html("")
+
+    def say(self, instruction: str) -> None:
+        """Show what the robot was asked for."""
+        self._instruction.content = STYLE + element("div", element("h4", f"“{instruction}”"), class_="db")
+
+    def update(self, state: ViewState) -> None:
+        """Show the moment."""
+        self._numbers.content = numbers_html(state, self._speeds)
+        self._lines.content = lines_html(state.lines)
+        h, delta = state.numbers.get("h_min"), state.numbers.get("delta")
+        if isinstance(h, float | int) and isinstance(delta, float | int) and np.isfinite((h, delta)).all():
+            self._history.append((state.t, 1e3 * h, delta))
+        if len(self._history) > 1:
+            t, millimetre, magnitude = np.array(self._history).T
+            self._h.data, self._delta.data = (t, millimetre), (t, magnitude)
+
+    def finish(self, episode: Episode) -> None:
+        """Show the final account in place of the live numbers."""
+        self._final.content = final_html(episode)
+        self._final.visible, self._numbers.visible = True, False
+
+
+def _plot(gui: GuiApi, title: str, line: Any) -> GuiUplotHandle:
+    """An empty curve over time."""
+    empty = np.array([0.0, 1e-3])
+    axis: Any = {"stroke": "#888", "size": 40, "grid": {"stroke": "#8882"}, "ticks": {"size": 3, "stroke": "#8884"}}
+    time: Any = {**axis, "size": 26}
+    return gui.add_uplot(
+        (empty, empty), ({}, line), title=title, axes=(time, axis), height=130, legend={"show": False},
+        scales={"x": {"time": False}},
+    )  # fmt: skip

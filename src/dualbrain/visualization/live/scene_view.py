@@ -1,0 +1,161 @@
+"""The perceived scene in the live view: things, the margin by which the filter inflates them, the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
+from dualbrain.records import Place, SceneObject
+from dualbrain.visualization.live.view_state import ViewState
+
+if TYPE_CHECKING:
+    from viser import FrameHandle, MeshHandle, SceneApi
+
+HIDDEN_BELOW = 1e-6
+TABLE = (1.15, 1.30, 0.03)
+"""Extent [m] drawn of a support that is a half space; it reaches farther."""
+TABLE_AHEAD = 0.375
+FLOOR_BELOW = -0.002
+"""Height [m] at which a floor is drawn: things stand on it."""
+
+BY_ROLE = {
+    "object": (200, 60, 50), "container": (232, 230, 222), "support": (214, 197, 172), "obstacle": (133, 140, 148),
+    "person": (222, 171, 140),
+}  # fmt: skip
+BY_NAME = {
+    "red": (204, 33, 31), "blue": (33, 87, 179), "green": (61, 143, 84), "yellow": (237, 186, 41),
+    "orange": (232, 120, 38), "purple": (117, 74, 153), "teal": (31, 138, 140), "white": (237, 235, 227),
+    "brown": (115, 77, 51), "grey": (133, 140, 148), "pink": (222, 133, 153), "black": (41, 43, 48),
+    "clear": (184, 224, 242), "oak": (158, 120, 82),
+}  # fmt: skip
+PLACE_COLOUR, PLACE_RADIUS, MARK = (10, 127, 95), 0.12, 0.003
+"""How a place on the floor is marked: colour, radius and half height [m]."""
+MARGIN_COLOUR = (240, 160, 60)
+
+
+@dataclass(slots=True)
+class _Thing:
+    """The nodes of one object, and what they were built from."""
+
+    shape: Shape
+    margin: float
+    frame: FrameHandle
+    skin: MeshHandle | None
+
+
+class LiveScene:
+    """Scene nodes of the perceived things; rebuilt only when a shape or a margin changes noticeably."""
+
+    def __init__(self, scene: SceneApi) -> None:
+        """Start empty."""
+        self._scene = scene
+        self._things: dict[str, _Thing] = {}
+        self._show_margins = True
+        self._region: tuple[tuple[float, float], ...] = ()
+        self._places: tuple[Place, ...] = ()
+        self._target = scene.add_icosphere("/target", 0.012, color=(10, 127, 95), opacity=0.85, visible=False)
+
+    def update(self, state: ViewState) -> None:
+        """Bring the nodes in line with the perceived scene."""
+        seen = {thing.name for thing in state.scene.objects}
+        for name in self._things.keys() - seen:
+            self._things.pop(name).frame.remove()
+        for thing in state.scene.objects:
+            self._show(thing, state.margins.get(thing.name, 0.0))
+        if state.scene.region != self._region:
+            self._region = state.scene.region
+            self._floor(self._region)
+        if state.scene.region and state.scene.places != self._places:
+            self._places = state.scene.places
+            self._mark(self._places)
+        self._target.visible = state.target is not None
+        if state.target is not None:
+            self._target.position = state.target
+
+    def show_margins(self, wanted: bool) -> None:
+        """Show or hide the inflated shapes from the next update on."""
+        self._show_margins = wanted
+
+    def _floor(self, region: tuple[tuple[float, float], ...]) -> None:
+        """The convex region in which a base may drive, as a floor."""
+        corners = np.array([(x, y, FLOOR_BELOW) for x, y in region])
+        faces = np.array([(0, k, k + 1) for k in range(1, len(region) - 1)])
+        self._scene.add_mesh_simple(
+            "/scene/floor", corners, faces, color=BY_ROLE["support"], side="double", cast_shadow=False
+        )
+
+    def _mark(self, places: tuple[Place, ...]) -> None:
+        """Where a base can be sent: a disc on the floor with the place's name."""
+        for place in places:
+            path, (x, y, z) = f"/scene/place_{place.name}", place.position
+            disc = surface(Cylinder(PLACE_RADIUS, MARK))
+            self._scene.add_mesh_simple(
+                path, np.asarray(disc.vertices), np.asarray(disc.faces), color=PLACE_COLOUR, position=(x, y, z + MARK),
+                cast_shadow=False,
+            )  # fmt: skip
+            self._scene.add_label(f"{path}/name", place.name, anchor="bottom-center", font_screen_scale=0.8)
+
+    def _show(self, thing: SceneObject, margin: float) -> None:
+        node = self._things.get(thing.name)
+        if node is None or node.shape != thing.shape or abs(node.margin - margin) > 0.002:
+            if node is not None:
+                node.frame.remove()
+            node = self._things[thing.name] = self._build(thing, margin)
+        node.frame.position, node.frame.wxyz = thing.pose.position, thing.pose.quaternion
+        if node.skin is not None:
+            node.skin.visible = self._show_margins
+
+    def _build(self, thing: SceneObject, margin: float) -> _Thing:
+        path = f"/scene/{''.join(letter if letter.isalnum() else '_' for letter in thing.name)}"
+        frame = self._scene.add_frame(path, show_axes=False)
+        colour = BY_NAME.get(thing.colour, BY_ROLE[thing.role])
+        self._mesh(f"{path}/body", thing.shape, 0.0, colour, None)
+        inflated = margin > HIDDEN_BELOW and not isinstance(thing.shape, HalfSpace)
+        skin = self._mesh(f"{path}/margin", thing.shape, margin, MARGIN_COLOUR, 0.16) if inflated else None
+        return _Thing(thing.shape, margin, frame, skin)
+
+    def _mesh(
+        self, path: str, shape: Shape, margin: float, colour: tuple[int, int, int], opacity: float | None
+    ) -> MeshHandle:
+        mesh = surface(shape, margin)
+        flat = isinstance(shape, Box | HalfSpace)
+        shadow = opacity is None
+        return self._scene.add_mesh_simple(
+            path, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=colour, opacity=opacity, flat_shading=flat,
+            side="front" if shadow else "double", cast_shadow=shadow, receive_shadow=shadow,
+        )  # fmt: skip
+
+
+def surface(shape: Shape, margin: float = 0.0) -> Any:
+    """Triangles of `shape`, grown by `margin` [m] on every side, in its own frame (a trimesh)."""
+    from trimesh import creation  # noqa: PLC0415  (comes with viser)
+
+    match shape:
+        case Sphere(radius):
+            return creation.icosphere(subdivisions=3, radius=radius + margin)
+        case Capsule(radius, half):
+            return creation.capsule(2 * half, radius + margin, count=(24, 24))
+        case Cylinder(radius, half):
+            return creation.cylinder(radius + margin, 2 * (half + margin), sections=48)
+        case Box(half_extents):
+            return creation.box(2 * (np.asarray(half_extents) + margin))
+        case HalfSpace():
+            return creation.box(TABLE).apply_translation((TABLE_AHEAD, 0, -TABLE[2] / 2))
+        case Bowl(radius, height, wall):
+            return creation.revolve(bowl_profile(radius + margin, height + margin, wall, -margin), sections=64)
+
+
+def bowl_profile(radius: float, height: float, wall: float, bottom: float) -> list[tuple[float, float]]:
+    """Cross section (distance from the axis, height) of a bowl: from the middle of its foot over the rim and back."""
+    foot = 0.7 * radius
+    outside = [(0.0, bottom), (foot, bottom), (radius, bottom + 0.45 * (height - bottom)), (radius, height)]
+    return [
+        *outside,
+        (radius - wall, height),
+        (radius - wall, bottom + 0.5 * (height - bottom)),
+        (foot - wall, wall),
+        (0.0, wall),
+    ]

@@ -1,0 +1,168 @@
+"""The live view: a page on this machine's own loopback address that shows the run while it happens.
+
+The control loop hands over a finished `ViewState` and goes on; a thread of the view draws the newest at its own pace.
+The page only toggles what is drawn; with a `board` it also has a person's buttons (`live_buttons.py`).
+"""
+
+from __future__ import annotations
+
+import socket
+from threading import Event as Signal
+from threading import Thread
+from typing import TYPE_CHECKING
+
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.records import Episode
+from dualbrain.robots.model import Body
+from dualbrain.visualization.live.operator_buttons import LiveButtons, OperatorBoard
+from dualbrain.visualization.live.panel import LivePanel, speeds_of
+from dualbrain.visualization.live.robot_view import LiveRobot, Surfaces
+from dualbrain.visualization.live.scene_view import LiveScene
+from dualbrain.visualization.live.view_state import ViewState
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+HOST = "127.0.0.1"
+RATE = 15.0
+"""Pictures a second."""
+PORTS_TRIED = 20
+AT_TABLE = (1.22, -0.80, 0.74), (0.40, 0.05, 0.17)
+IN_ROOM = (0.4, -4.3, 3.4), (2.9, -0.3, 0.0)
+"""Where the view begins, and what it looks at: an arm at its table, a base in its room [m]."""
+
+
+class LiveView:
+    """A running view; `url` is where to look, `notice` says if that is another port than the one asked for."""
+
+    def __init__(
+        self,
+        body: Body,
+        port: int = 8080,
+        *,
+        other_port: bool = True,
+        instruction: str = "",
+        board: OperatorBoard | None = None,
+        surfaces: Surfaces | None = None,
+    ) -> None:
+        """Serve on `port`, or with `other_port` on the next free one; links without `surfaces` are drawn as spheres.
+
+        Raises:
+            MissingPart: viser is not installed.
+            InvalidSetup: the port is in use and no other was allowed, or twenty in a row are in use.
+        """
+        self.port = free_port(port, PORTS_TRIED if other_port else 1)
+        self.notice = "" if self.port == port else f"Port {port} is in use; the live view is on port {self.port}."
+        self.url = f"http://{HOST}:{self.port}"
+        self._closing, self._drawn, self._stale = Signal(), Signal(), Signal()
+        self._server = serve(self.port)
+        if body.mobile:
+            self._server.initial_camera.position, self._server.initial_camera.look_at = IN_ROOM
+        self._robot = LiveRobot(self._server.scene, body, surfaces or {})
+        self._scene = LiveScene(self._server.scene)
+        self._panel = LivePanel(self._server.gui, speeds_of(body))
+        self._toggles()
+        if board is not None:
+            LiveButtons(self._server, board)
+        if instruction:
+            self._panel.say(instruction)
+        self._latest: ViewState | None = None
+        self._episode: Episode | None = None
+        self._thread = Thread(target=self._draw, name="live view", daemon=True)
+        self._thread.start()
+
+    def show(self, state: ViewState) -> None:
+        """Show `state` as soon as the view gets to it; returns at once."""
+        self._latest = state
+
+    def finish(self, episode: Episode, timeout: float = 2.0) -> None:
+        """Show how the run ended; returns when that has been drawn, or after `timeout` [s]."""
+        self._drawn.clear()
+        self._episode = episode
+        self._drawn.wait(timeout)
+
+    def close(self) -> None:
+        """Stop serving; safe to call again."""
+        if not self._closing.is_set():
+            self._closing.set()
+            self._thread.join(2.0)
+            self._server.stop()
+            _hush(quiet=False)
+
+    def _toggles(self) -> None:
+        gui = self._server.gui
+        with gui.add_folder("show", expand_by_default=False):
+            surface = gui.add_checkbox("robot", initial_value=True)
+            spheres = gui.add_checkbox("filter's spheres, by clearance", initial_value=False)
+            margins = gui.add_checkbox("margins around things", initial_value=True)
+
+        def apply(_: object) -> None:
+            self._robot.root.visible = surface.value
+            self._robot.show_spheres(spheres.value)
+            self._scene.show_margins(margins.value)
+            self._stale.set()
+
+        for box in (surface, spheres, margins):
+            box.on_update(apply)
+
+    def _draw(self) -> None:
+        drawn: tuple[ViewState | None, Episode | None] = (None, None)
+        while not self._closing.wait(1.0 / RATE):
+            newest = (self._latest, self._episode)
+            if newest[0] is drawn[0] and newest[1] is drawn[1] and not self._stale.is_set():
+                continue
+            self._stale.clear()
+            self._draw_one(*newest)
+            drawn = newest
+            if newest[1] is not None:
+                self._drawn.set()
+
+    def _draw_one(self, state: ViewState | None, episode: Episode | None) -> None:
+        with self._server.atomic():
+            if state is not None:
+                self._robot.update(state)
+                self._scene.update(state)
+                self._panel.update(state)
+            if episode is not None:
+                self._panel.finish(episode)
+
+
+def free_port(wanted: int, tries: int) -> int:
+    """The first port from `wanted` on that nobody listens on; raises `InvalidSetup` after `tries`."""
+    for port in range(wanted, min(wanted + tries, 65536)):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, port))
+            except OSError:
+                continue
+            return port
+    raise InvalidSetup(
+        "port of the live view", got=wanted, allowed=f"a free port on {HOST} (tried {tries})",
+        fix="Choose another with --port, or run with --headless.",
+    )  # fmt: skip
+
+
+def serve(port: int) -> ViserServer:
+    """A viser server on this machine's loopback address, without the button that asks for a public tunnel."""
+    try:
+        import viser  # noqa: PLC0415  (heavy imports are lazy)
+    except ImportError as error:
+        raise MissingPart(
+            "viser, which draws the live view,",
+            fix="Install it with `pip install 'dualbrain[people]'`, or run with --headless.",
+        ) from error
+    _hush(quiet=True)
+    server = viser.ViserServer(host=HOST, port=port, label="dualbrain", verbose=False)
+    server.request_share_url = lambda verbose=True: None  # a page must not be able to ask for a public tunnel
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    server.scene.set_up_direction("+z")
+    server.initial_camera.position, server.initial_camera.look_at = AT_TABLE
+    return server
+
+
+def _hush(*, quiet: bool) -> None:
+    """Keep viser's banners, which go through rich's global console, out of our standard output."""
+    import rich  # noqa: PLC0415
+
+    rich.get_console().quiet = quiet

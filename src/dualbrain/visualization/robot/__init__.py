@@ -1,0 +1,1 @@
+"""Pictures and interactive view of a robot model."""

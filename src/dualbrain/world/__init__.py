@@ -1,1 +1,0 @@
-"""Where it happens: the physics plant, scenes, perception and the independent monitor."""

@@ -1,0 +1,247 @@
+"""Rules on names and layout that `make check` enforces; prints every finding and exits with 1 if there is one.
+
+    python tools/check_structure.py [--root FOLDER] [RULE ...]
+
+Rules: `folders` (at most 12 entries in a folder), `cycles` (no import cycles between modules), `records` (records of
+more than four fields are keyword-only), `words` (no private vocabulary in sources, documents and help), `docs` (every
+public name is documented). Exceptions, each with its reason, are listed in `tools/structure.toml`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+MAX_ENTRIES = 12
+MAX_POSITIONAL = 4
+PACKAGE = "src/dualbrain"
+NOT_COUNTED = {"__init__.py", "conftest.py", "py.typed"}
+
+
+@dataclass(frozen=True)
+class Tree:
+    """The tracked files below `root`, and the exceptions from the rules."""
+
+    root: Path
+    files: tuple[str, ...]
+    config: dict[str, Any]
+
+    @classmethod
+    def of(cls, root: Path) -> Tree:
+        """The tree in the git checkout `root`, with files that are not yet committed."""
+        command = ["git", "-C", str(root), "ls-files", "--cached", "--others", "--exclude-standard"]
+        listed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+        config = tomllib.loads((root / "tools" / "structure.toml").read_text("utf-8"))
+        return cls(root, tuple(sorted({name for name in listed if (root / name).is_file()})), config)
+
+    def text(self, name: str) -> str:
+        """The text of a file."""
+        return (self.root / name).read_text("utf-8")
+
+    def python(self, *tops: str) -> Iterator[tuple[str, ast.Module]]:
+        """Python sources below any of `tops`, parsed."""
+        for name in self.files:
+            if name.endswith(".py") and name.startswith(tuple(f"{top}/" for top in tops)):
+                yield name, ast.parse(self.text(name))
+
+
+def folders(tree: Tree) -> Iterator[str]:
+    """Folders with more entries than `MAX_ENTRIES`."""
+    entries: dict[str, set[str]] = {}
+    for name in tree.files:
+        parts = name.split("/")
+        for depth in range(1, len(parts)):
+            entries.setdefault("/".join(parts[:depth]), set()).add(parts[depth])
+    exempt: dict[str, str] = tree.config["folders"]
+    for folder, found in sorted(entries.items()):
+        count = len(found - NOT_COUNTED)
+        if count > MAX_ENTRIES and not any(fnmatch(folder, pattern) for pattern in exempt):
+            yield f"{folder}: {count} entries, at most {MAX_ENTRIES}"
+
+
+def cycles(tree: Tree) -> Iterator[str]:
+    """Groups of modules that import each other."""
+    graph = imports(tree)
+    for group in strongly_connected(graph):
+        if len(group) > 1:
+            yield "import cycle: " + " ↔ ".join(sorted(group))
+
+
+def imports(tree: Tree) -> dict[str, set[str]]:
+    """The modules that each module of the package imports anywhere in its text."""
+    sources = {module_name(name): parsed for name, parsed in tree.python(PACKAGE)}
+    graph: dict[str, set[str]] = {name: set() for name in sources}
+    for module, parsed in sources.items():
+        for node in ast.walk(parsed):
+            for target in imported(node):
+                if target in sources and target != module:
+                    graph[module].add(target)
+    return graph
+
+
+def imported(node: ast.AST) -> Iterator[str]:
+    """Names of modules that one statement imports; a name imported from a package may be a module, too."""
+    if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        yield node.module
+        for alias in node.names:
+            yield f"{node.module}.{alias.name}"
+    elif isinstance(node, ast.Import):
+        for alias in node.names:
+            yield alias.name
+
+
+def module_name(path: str) -> str:
+    """The dotted name of a source file."""
+    return path.removeprefix("src/").removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def strongly_connected(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Strongly connected components (Kosaraju), without recursion."""
+    backward: dict[str, set[str]] = {name: set() for name in graph}
+    for name, targets in graph.items():
+        for target in targets:
+            backward[target].add(name)
+    finished: list[str] = []
+    seen: set[str] = set()
+    for start in graph:
+        finished += finishing(graph, start, seen)
+    seen = set()
+    return [set(finishing(backward, start, seen)) for start in reversed(finished) if start not in seen]
+
+
+def finishing(graph: dict[str, set[str]], start: str, seen: set[str]) -> list[str]:
+    """Nodes reached from `start` that are not in `seen`, in the order in which a depth-first search leaves them."""
+    if start in seen:
+        return []
+    seen.add(start)
+    order: list[str] = []
+    stack = [(start, iter(sorted(graph[start])))]
+    while stack:
+        node, targets = stack[-1]
+        for target in targets:
+            if target not in seen:
+                seen.add(target)
+                stack.append((target, iter(sorted(graph[target]))))
+                break
+        else:
+            stack.pop()
+            order.append(node)
+    return order
+
+
+def records(tree: Tree) -> Iterator[str]:
+    """Dataclasses and structs of more than `MAX_POSITIONAL` fields that may be built by position."""
+    exempt: dict[str, str] = tree.config["records"]
+    for name, parsed in tree.python(PACKAGE):
+        for node in ast.walk(parsed):
+            if not isinstance(node, ast.ClassDef) or not is_record(node) or f"{module_name(name)}.{node.name}" in exempt:
+                continue
+            fields = [one for one in node.body if isinstance(one, ast.AnnAssign) and not is_class_variable(one)]
+            if len(fields) > MAX_POSITIONAL and not keyword_only(node):
+                yield f"{name}:{node.lineno}: {node.name} has {len(fields)} fields and is not keyword-only"
+
+
+def is_record(node: ast.ClassDef) -> bool:
+    """Whether a class is a dataclass or a msgspec structure."""
+    decorators = [ast.unparse(one) for one in node.decorator_list]
+    bases = [ast.unparse(one) for one in node.bases]
+    return any("dataclass" in one for one in decorators) or any(one.endswith(("Struct", "Record")) for one in bases)
+
+
+def is_class_variable(node: ast.AnnAssign) -> bool:
+    """Whether an annotation is a `ClassVar`, or says `kw_only` of itself."""
+    return "ClassVar" in ast.unparse(node.annotation) or (node.value is not None and "kw_only=True" in ast.unparse(node.value))
+
+
+def keyword_only(node: ast.ClassDef) -> bool:
+    """Whether the class is declared `kw_only=True`, or separates its fields by `_: KW_ONLY`."""
+    options = [*node.keywords]
+    for one in node.decorator_list:
+        if isinstance(one, ast.Call):
+            options += one.keywords
+    declared = any(one.arg == "kw_only" and ast.unparse(one.value) == "True" for one in options)
+    return declared or any(isinstance(one, ast.AnnAssign) and "KW_ONLY" in ast.unparse(one.annotation) for one in node.body)
+
+
+def words(tree: Tree) -> Iterator[str]:
+    """Private words in names, comments, docstrings, messages and documents."""
+    config = tree.config["words"]
+    banned = {word: say for say, group in config["say"].items() for word in group}
+    pattern = re.compile(rf"(?<![^\W_])({'|'.join(sorted(banned, key=len, reverse=True))})(?![^\W_])", re.IGNORECASE)
+    allowed: list[dict[str, Any]] = config["allowed"]
+    for name in tree.files:
+        if not name.startswith(tuple(config["where"])) or not name.endswith(tuple(config["suffixes"])):
+            continue
+        here = [one for one in allowed if fnmatch(name, one["file"])]
+        if any("*" in one["words"] for one in here):
+            continue
+        free = {word for one in here for word in one["words"]}
+        lines = [re.compile(one["line"]) for one in here if "line" in one]
+        for number, line in enumerate(tree.text(name).splitlines(), start=1):
+            if any(one.search(line) for one in lines):
+                continue
+            for found in pattern.finditer(split_camel(line)):
+                word = found[1].lower()
+                if word not in free:
+                    yield f"{name}:{number}: {word!r}: say {banned[word]!r}"
+
+
+def split_camel(line: str) -> str:
+    """`line` with the parts of CamelCase names apart, so that each counts as a word."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", line)
+
+
+def docs(tree: Tree) -> Iterator[str]:
+    """Public modules, classes, functions and methods without a docstring."""
+    for name, parsed in tree.python(PACKAGE):
+        if name.endswith("__main__.py") and ast.get_docstring(parsed):
+            continue
+        if not ast.get_docstring(parsed):
+            yield f"{name}: the module has no docstring"
+        yield from undocumented(parsed.body, name, "")
+
+
+def undocumented(body: list[ast.stmt], name: str, owner: str) -> Iterator[str]:
+    """Public definitions in `body` that have no docstring."""
+    for node in body:
+        if not isinstance(node, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) or node.name.startswith("_"):
+            continue
+        decorators = {ast.unparse(one) for one in node.decorator_list}
+        inherited = {"override", "overload"} & decorators or any(one.endswith(".setter") for one in decorators)
+        if not ast.get_docstring(node) and not inherited:
+            yield f"{name}:{node.lineno}: {owner}{node.name} has no docstring"
+        if isinstance(node, ast.ClassDef):
+            yield from undocumented(node.body, name, f"{owner}{node.name}.")
+
+
+RULES: dict[str, Callable[[Tree], Iterator[str]]] = {
+    "folders": folders, "cycles": cycles, "records": records, "words": words, "docs": docs,
+}  # fmt: skip
+
+
+def main() -> int:
+    """Check the rules that were asked for, by default all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rules", nargs="*", metavar="RULE", help=", ".join(RULES))
+    parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parents[1])
+    asked = parser.parse_args()
+    if unknown := set(asked.rules) - set(RULES):
+        parser.error(f"unknown rule {', '.join(sorted(unknown))}; known: {', '.join(RULES)}")
+    tree = Tree.of(asked.root)
+    found = [(rule, line) for rule in asked.rules or RULES for line in RULES[rule](tree)]
+    for rule, line in found:
+        sys.stdout.write(f"{rule}: {line}\n")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
