@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 KERNEL_SOURCES := CMakeLists.txt $(shell find kernel src/dualbrain/safety -name '*.c' -o -name '*.h' -o -name '*.cpp' 2>/dev/null)
 
-.PHONY: help demo test setup format check kernel pytest smoke prove bench clean
+.PHONY: help demo test setup format check kernel pytest smoke experiments bench clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,13 +48,13 @@ smoke: setup  ## the evaluation protocol from end to end, six episodes without a
 	$(BIN)/dualbrain evaluate --suite smoke --out build/smoke
 	$(BIN)/dualbrain report build/smoke --gallery 0
 
-prove: setup  ## the big proofs: slow, resumable; figures go to prove/
-	@$(BIN)/python benchmarks/prove.py
+experiments: setup  ## the slow experiments, resumable; logs are written to experiments/runs/
+	@$(BIN)/python -m experiments
 
 bench: setup  ## timings beside named peers, the compiled kernel at worst, mutants of it
-	@$(BIN)/python benchmarks/gate.py && $(BIN)/python benchmarks/filter_step.py
-	@$(BIN)/python benchmarks/peers/setup_environments.py && $(BIN)/python benchmarks/filter_latency.py
-	@$(BIN)/python benchmarks/kernel_limits.py && $(BIN)/python benchmarks/mutants.py --seed 1 --count 60 --resume
+	@$(BIN)/python -m benchmarks.gate && $(BIN)/python -m benchmarks.filter_step
+	@$(BIN)/python -m benchmarks.peers.setup_environments && $(BIN)/python -m benchmarks.filter_latency
+	@$(BIN)/python -m tools.kernel_limits && $(BIN)/python -m tools.mutation --seed 1 --count 60 --resume
 
 clean:
 	rm -rf $(VENV) build runs

@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from proofs.figures import table
-from proofs.origin import machine, revision
 
 from dualbrain.cli.common import paths
 from dualbrain.evaluation.episodes.case_runner import PARTS
@@ -29,6 +27,8 @@ from dualbrain.evaluation.results.episode_row import Row
 from dualbrain.evaluation.runner.runner import Progress, Runner, rows_of
 from dualbrain.evaluation.runner.worker import Workplace
 from dualbrain.evaluation.runner.worker_pool import Processes
+from experiments.engine.provenance import machine, revision
+from experiments.figures.tables import table
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -21,15 +21,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from peers import latency, trials
-from peers.bars import bars
-from peers.contestants import CONTESTANTS, OWN, QUICK
-from peers.document import write
-from peers.scenes import PRIMITIVES, ROWS
-from peers.setup_environments import ENVIRONMENTS
-from proofs.origin import machine, revision
-
+from benchmarks.peers import latency, robustness
+from benchmarks.peers.benchmarked_filters import CONTESTANTS, OWN, QUICK
+from benchmarks.peers.problems.scenes import PRIMITIVES, ROWS
+from benchmarks.peers.report import write
+from benchmarks.peers.setup_environments import ENVIRONMENTS
+from benchmarks.peers.targets import bars
 from dualbrain.safety.cbf.kernel import kernel_hash
+from experiments.engine.provenance import machine, revision
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ENVIRONMENTS / "figures.jsonl"
@@ -40,17 +39,17 @@ def units(*, quick: bool) -> dict[str, Callable[[], dict[str, Any]]]:
     if quick:
         return {
             "rows:10": lambda: latency.measure("rows", 10, QUICK, latency.QUICK),
-            "infeasible": lambda: {"infeasible": trials.infeasible(QUICK[:1])},
-            "clearance": lambda: {"clearance": trials.clearance(QUICK[:1], steps=30, seeds=1)},
+            "infeasible": lambda: {"infeasible": robustness.infeasible(QUICK[:1])},
+            "clearance": lambda: {"clearance": robustness.clearance(QUICK[:1], steps=30, seeds=1)},
         }
     full = latency.Effort()
     everybody = {f"rows:{n}": lambda n=n: latency.measure("rows", n, CONTESTANTS, full) for n in ROWS}
     able = [c for c in CONTESTANTS if c.primitives]
     everybody |= {f"primitives:{n}": lambda n=n: latency.measure("primitives", n, able, full) for n in PRIMITIVES}
     one_each = [c for c in able if not c.ours or c.name == OWN]
-    everybody["infeasible"] = lambda: {"infeasible": trials.infeasible(one_each)}
+    everybody["infeasible"] = lambda: {"infeasible": robustness.infeasible(one_each)}
     driven = [c for c in CONTESTANTS if c.gains]
-    return everybody | {f"clearance:{c.name}": lambda c=c: {"clearance": trials.clearance([c])} for c in driven}
+    return everybody | {f"clearance:{c.name}": lambda c=c: {"clearance": robustness.clearance([c])} for c in driven}
 
 
 def done() -> dict[str, dict[str, Any]]:

@@ -5,7 +5,7 @@
 Search is the exact top 10 of R with filters over random unit vectors of length 512, beside one single-thread
 matrix-vector product with the same matrix, alternately in one process; ratios are of processor time, which a busy
 machine does not lengthen. `--peers` runs Milvus Lite, LanceDB and pgvector in an environment of their own
-(`benchmarks/memory/requirements.txt`, below build/), each beside the same product in its own process, by wall clock,
+(`benchmarks/vector_databases/requirements.txt`, below build/), each beside the same product in its own process, by wall clock,
 because their work is not all in this process. Every figure is a median.
 """
 
@@ -28,7 +28,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from proofs.episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
 
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.joint_embedding import JointEmbedding
@@ -41,6 +40,7 @@ from dualbrain.memory.retrieval.search import Query, Scan, worth
 from dualbrain.memory.state.episode_record import payload
 from dualbrain.memory.state.provenance import Provenance
 from dualbrain.memory.state.state import Memo
+from experiments.memory.synthetic_episodes import CONFIG, REGISTRY, REST, ROBOT, START, contract, made_up
 
 DIM, TOP, LAMBDA = 512, 10, 0.8
 HERE = Path(__file__).resolve().parent
@@ -140,7 +140,7 @@ def _open(path: Path) -> tuple[float, float]:
     program = (
         "import time, sys, pathlib; from dualbrain.memory.embedding.hashing_encoder import HashingEncoder; "
         "from dualbrain.memory.memory import Memory; from dualbrain.memory.ledger.ledger import Ledger; "
-        "from proofs.episodes import CONFIG, START; began = time.perf_counter(), time.process_time(); "
+        "from experiments.memory.synthetic_episodes import CONFIG, START; began = time.perf_counter(), time.process_time(); "
         "ledger = Ledger(pathlib.Path(sys.argv[1]), holder='a benchmark', now=START); "
         "memory = Memory(ledger, HashingEncoder(384), CONFIG); "
         "took = time.perf_counter() - began[0], time.process_time() - began[1]; "
@@ -174,7 +174,7 @@ def _fill(path: Path, n: int) -> None:
 def peers() -> object:
     """What the peers' process says of itself, or why it did not run."""
     if not PEERS.exists():
-        return "not installed: see benchmarks/memory/requirements.txt"
+        return "not installed: see benchmarks/vector_databases/requirements.txt"
     done = subprocess.run([str(PEERS), str(HERE / "memory" / "peers.py")], capture_output=True, text=True, check=False)
     return json.loads(done.stdout) if done.returncode == 0 else done.stderr[-800:]
 

@@ -17,7 +17,6 @@ import time
 from collections.abc import Sequence
 
 import msgspec
-from proofs.language import shown
 
 from dualbrain.adaptation.curation.sample import Sample
 from dualbrain.adaptation.serving import speculative_decoding
@@ -29,6 +28,7 @@ from dualbrain.planner.request import PlanRequest
 from dualbrain.records import Exemplar, Recall
 from dualbrain.runtime.data_collection.rollouts import ROBOT, request_of
 from dualbrain.runtime.data_collection.synthetic_scenes import lessons
+from experiments.planning.language import shown
 
 NAME = "base-135m"
 LLAMA, PLAIN, AHEAD = "llama.cpp", "torch, token by token", "torch, reading ahead"

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from peers import scenes
-from peers.contestants import OWN, Contestant
-from peers.crew import Child, Refused
-from peers.oracle import optimum
-from peers.problem import Problem, box, rows
+from benchmarks.peers.benchmarked_filters import OWN, Contestant
+from benchmarks.peers.problems import scenes
+from benchmarks.peers.problems.problem import Problem, box, rows
+from benchmarks.peers.problems.qp_oracle import optimum
+from benchmarks.peers.processes.filter_process import Child, Refused
 
 WARM = 5
 TOLERANCE = 1e-4

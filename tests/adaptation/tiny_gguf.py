@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from transformers import LlamaConfig, LlamaForCausalLM, Qwen2Config, Qwen2ForCausalLM
 
 from dualbrain.adaptation.conversion.peft_lora import WEIGHTS
-from tests.adaptation.tiny import TEMPLATE, tokenizer
+from tests.adaptation.tiny_model import TEMPLATE, tokenizer
 
 KINDS = {"llama": (LlamaConfig, LlamaForCausalLM), "qwen2": (Qwen2Config, Qwen2ForCausalLM)}
 HEADS, KV_HEADS, LAYERS, WIDTH = 4, 2, 2, 64

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from peers import scenes
-from peers.bars import bars
-from peers.contestants import Contestant
-from peers.crew import Child, Refused
-from peers.document import write
-from peers.oracle import optimum, second_opinion
-from peers.problem import box, clearances, rows
 
-from tests.once import once
+from benchmarks.peers.benchmarked_filters import Contestant
+from benchmarks.peers.problems import scenes
+from benchmarks.peers.problems.problem import box, clearances, rows
+from benchmarks.peers.problems.qp_oracle import optimum, second_opinion
+from benchmarks.peers.processes.filter_process import Child, Refused
+from benchmarks.peers.report import write
+from benchmarks.peers.targets import bars
+from tests.support.run_once import once
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -111,7 +111,7 @@ def test_bars_take_the_fastest_peer_and_never_one_of_ours():
 
 def test_a_contestant_that_cannot_come_says_why():
     with pytest.raises(Refused, match="no environment"):
-        Child(Contestant("nobody", "peers.fake", environment="nowhere"))
+        Child(Contestant("nobody", "benchmarks.peers.filters.fake_filter", environment="nowhere"))
     with pytest.raises(Refused, match="ModuleNotFoundError"):
         Child(Contestant("nobody", "peers.no_such_module"))
 
@@ -119,7 +119,7 @@ def test_a_contestant_that_cannot_come_says_why():
 def test_a_contestant_that_hangs_is_ended(tmp_path):
     problem = scenes.rows_problem(10)
     problem.save(str(tmp_path / "p.npz"))
-    child = Child(Contestant("sleeper", "peers.fake"))
+    child = Child(Contestant("sleeper", "benchmarks.peers.filters.fake_filter"))
     child.ask("prepare", problem=str(tmp_path / "p.npz"), options={"nap": 30.0})
     with pytest.raises(Refused, match="no answer"):
         child.ask("once", 0.2, q=problem.home.tolist(), u_nom=[0.0] * problem.n)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.finished import finished as finished_run
+from tests.support.completed_run import finished as finished_run
 
 
 @pytest.fixture(scope="session")

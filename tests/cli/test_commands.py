@@ -17,7 +17,7 @@ from dualbrain.cli.evaluation.evaluate import evaluate
 from dualbrain.cli.evaluation.report import compare, report
 from dualbrain.cli.run.demo import demo
 from dualbrain.grounding.vocabulary import vocabulary
-from tests.stories.rig import GRASP, PLACE, contract, decline, pause
+from tests.stories.story_session import GRASP, PLACE, contract, decline, pause
 
 GOOD = contract(("grasp", GRASP), ("place", PLACE))
 

@@ -16,8 +16,8 @@ from dualbrain.memory.ledger.ledger import Ledger
 from dualbrain.memory.memory import Memory
 from dualbrain.robots.interface import at_home
 from dualbrain.robots.loader import load_body
-from tests.memory.samples import NOW, episode
-from tests.stories.rig import GRASP, PLACE, contract, pause, play, settings
+from tests.memory.memory_samples import NOW, episode
+from tests.stories.story_session import GRASP, PLACE, contract, pause, play, settings
 
 pytestmark = pytest.mark.llm
 

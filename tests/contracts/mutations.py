@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from dualbrain.contracts.skill_spec import Choice, Name, Number, Text
-from tests.contracts.arm import REGISTRY
+from tests.contracts.contract_strategies import REGISTRY
 
 Document = dict[str, Any]
 Draw = Callable[[st.SearchStrategy[Any]], Any]

@@ -17,7 +17,15 @@ from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import syntax_schema, validation_schema
 from dualbrain.contracts.verdict import Accepted, Rejected
 from dualbrain.errors import UnknownName
-from tests.contracts.arm import NAMES, PRINCIPAL, REGISTRY, build_registry, check, contracts, unrestricted
+from tests.contracts.contract_strategies import (
+    NAMES,
+    PRINCIPAL,
+    REGISTRY,
+    build_registry,
+    check,
+    contracts,
+    unrestricted,
+)
 from tests.contracts.mutations import MUTATIONS
 
 GATE = unrestricted()

@@ -10,7 +10,7 @@ from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.skill_spec import Choice, ContactPermit, Name, Number, SkillSpec, Text
 from dualbrain.errors import InvalidSetup, UnknownName
-from tests.contracts.arm import APPROACH, OPENING, REASON, REGISTRY, SPEED, build_registry
+from tests.contracts.contract_strategies import APPROACH, OPENING, REASON, REGISTRY, SPEED, build_registry
 
 
 def of(*skills: SkillSpec, robot: str = "panda") -> Registry:

@@ -13,7 +13,7 @@ from dualbrain.contracts.registry import Registry
 from dualbrain.contracts.scene_names import SceneNames
 from dualbrain.contracts.schema import decoding_schema, short_form, syntax_schema, validation_schema
 from dualbrain.contracts.skill_spec import Name, Number
-from tests.contracts.arm import NAMES, REGISTRY, contracts
+from tests.contracts.contract_strategies import NAMES, REGISTRY, contracts
 from tests.contracts.mutations import MUTATIONS
 
 DECODED = {

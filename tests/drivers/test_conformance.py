@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualbrain.drivers.conformance.rules import LAWS, Verdict, conform
-from tests.drivers.subjects import SUBJECTS, franka
+from tests.drivers.drivers_under_test import SUBJECTS, franka
 
 
 @pytest.mark.parametrize("name", SUBJECTS)

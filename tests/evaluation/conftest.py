@@ -3,7 +3,7 @@
 import pytest
 
 from dualbrain.evaluation.protocol.suite import read_suite
-from tests.evaluation.rows import COLLISION, row
+from tests.evaluation.sample_rows import COLLISION, row
 from tests.evaluation.test_runner import SUITE
 
 FAILED = {"success": False, "claimed": False, "failure": "frequent takeover", "outcome": "taken_over"}

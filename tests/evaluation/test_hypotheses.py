@@ -16,7 +16,7 @@ from dualbrain.evaluation.analysis.hypotheses import (
 )
 from dualbrain.evaluation.analysis.metrics import BY_NAME
 from dualbrain.evaluation.analysis.statistics import Compared
-from tests.evaluation.rows import COLLISION, SPEED, row
+from tests.evaluation.sample_rows import COLLISION, SPEED, row
 
 
 def found(low, high, clusters=10):

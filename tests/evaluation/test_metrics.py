@@ -10,7 +10,7 @@ from dualbrain.evaluation.analysis.severity import SCALES, severity
 from dualbrain.evaluation.results.episode_row import Row
 from dualbrain.records import Violation
 from dualbrain.simulation.monitoring.safety_monitor import UNITS
-from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
+from tests.evaluation.sample_rows import COLLISION, MOVED, SPEED, row
 
 
 def value(name, **values):

@@ -53,8 +53,8 @@ from dualbrain.visualization.evaluation.charts import (
 )
 from dualbrain.visualization.evaluation.html_report import Shot, Told, facts, render_evaluation
 from dualbrain.visualization.evaluation.markdown_page import write_page
-from tests.evaluation.rows import COLLISION, MOVED, SPEED, row
-from tests.planner.questions import request
+from tests.evaluation.sample_rows import COLLISION, MOVED, SPEED, row
+from tests.planner.sample_requests import request
 
 ASTRAY = {"success": False}
 """Done, says the robot; not so, says truth: `actuator`."""

@@ -19,7 +19,7 @@ from dualbrain.evaluation.runner.work_units import units_of
 from dualbrain.planner.protocol import STOP
 from dualbrain.records import Proposal
 from tests.evaluation.test_runner import SUITE, lines_of
-from tests.planner.questions import request
+from tests.planner.sample_requests import request
 
 
 def test_an_episode_of_results_is_flown_again_whatever_suite_is_named(tmp_path, capsys):

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from dualbrain import evaluation
+import dualbrain
 from dualbrain.adaptation.adapters.card import read_adapter_card
 from dualbrain.adaptation.adapters.compatibility import vocabularies
 from dualbrain.adaptation.adapters.packaged import packaged_folder, packaged_names
@@ -39,7 +39,7 @@ from dualbrain.evaluation.protocol.suite import (
 from dualbrain.evaluation.report.adaptation_cost import Cost
 from dualbrain.evaluation.results.parquet import read_table, write_table
 from dualbrain.evaluation.runner import preflight
-from dualbrain.evaluation.runner.provenance import TELLS, revision
+from dualbrain.evaluation.runner.provenance import REPORTING, revision
 from dualbrain.evaluation.runner.run_ledgers import RunFolder, rule
 from dualbrain.evaluation.runner.runner import STAGES, Runner, pilot_epsilon
 from dualbrain.evaluation.runner.work_units import units_of
@@ -50,7 +50,7 @@ from dualbrain.planner.registry import planner_names
 from dualbrain.robots.loader import BODIES
 from dualbrain.simulation.perception.depth_perception import DepthPerception
 from dualbrain.simulation.tasks.families import FAMILIES, LEVELS, assign, families_of
-from tests.evaluation.rows import COLLISION, row
+from tests.evaluation.sample_rows import COLLISION, row
 
 SUITE = b"""
 name = "tiny"
@@ -289,16 +289,22 @@ def test_methods_may_be_added_to_what_was_flown_and_nothing_may_be_left_out(suit
         runner(more, tmp_path).prepare({"code": "aaa"}, {"adapted": msgspec.structs.replace(cost, steps=60)})
 
 
-def test_what_only_tells_has_no_part_in_an_episode():
-    """What `origin` leaves out of the hash of the code is not even loaded by what flies."""
-    told = subprocess.run(
+def test_reporting_code_has_no_part_in_an_episode():
+    """The code that the provenance hash leaves out is not even loaded by a worker."""
+    listed = subprocess.run(
         [sys.executable, "-c", "import dualbrain.evaluation.runner.worker, sys; print(*sys.modules)"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    loaded = told.stdout.split()
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = listed.stdout.split()
     assert "dualbrain.evaluation.episodes.scoring" in loaded
-    assert not [name for name in TELLS if f"dualbrain.evaluation.{name}" in loaded]
-    assert all((Path(evaluation.__file__).parent / f"{name}.py").is_file() for name in TELLS)
+    package = Path(dualbrain.__file__).parent
+    for part in REPORTING:
+        module = "dualbrain." + part.removesuffix(".py").replace("/", ".")
+        assert (package / part).exists()
+        assert not [name for name in loaded if name == module or name.startswith(f"{module}.")]
+
 
 
 def test_epsilon_is_the_median_of_the_pilots_successes():
@@ -601,7 +607,7 @@ def test_a_full_disk_leaves_the_former_table_and_is_told(tmp_path):
         "import resource, sys; from pathlib import Path\n"
         "from dualbrain.errors import DualbrainError\n"
         "from dualbrain.evaluation.results.parquet import write_table\n"
-        "from tests.evaluation.rows import row\n"
+        "from tests.evaluation.sample_rows import row\n"
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"
         "try: write_table([row('B3', seed=2, repetition=0)], {'suite': {}}, Path(sys.argv[1]))\n"

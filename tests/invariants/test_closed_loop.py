@@ -11,16 +11,16 @@ import pytest
 
 from dualbrain.core.geometry.shapes import HalfSpace, Pose, Sphere
 from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter
-from tests.safety import oracle, scenes
+from tests.safety import geometry_oracle, random_scenes
 from tests.safety.conftest import at, panda, small  # noqa: F401
 
 
 def least_h(body, run, things):
     """(h, step, which) of the worst moment, in float64: obstacles and own links [m], joint limits [rad]."""
     parts = {
-        "obstacle": oracle.h_obstacles(body, run.q, things),
-        "self": oracle.h_self(body, run.q),
-        "joint": oracle.h_joints(body, run.q),
+        "obstacle": geometry_oracle.h_obstacles(body, run.q, things),
+        "self": geometry_oracle.h_self(body, run.q),
+        "joint": geometry_oracle.h_joints(body, run.q),
     }
     which = min(parts, key=lambda name: parts[name].min())
     return float(parts[which].min()), int(parts[which].argmin()), which
@@ -28,11 +28,11 @@ def least_h(body, run, things):
 
 def loop(body, seed, steps, *, hold=None, things=8, **changes):
     """The adversary holds its mind for 0.15, 0.4 or 1 s, so that full speed is reached."""
-    scene = scenes.scene(body, np.random.default_rng(seed), things)
-    safety = SafetyFilter(body, scenes.config(**changes))
+    scene = random_scenes.scene(body, np.random.default_rng(seed), things)
+    safety = SafetyFilter(body, random_scenes.config(**changes))
     safety.observe(scene, 0.0)
     hold = hold or (150, 400, 1000)[seed % 3]
-    return scenes.closed_loop(safety, body.home, steps, seed, hold=hold, toward=0.9), scene
+    return random_scenes.closed_loop(safety, body.home, steps, seed, hold=hold, toward=0.9), scene
 
 
 def holds(body, seed, steps):
@@ -92,15 +92,15 @@ def test_control_without_margin_fails(small):  # noqa: F811
 
 def seen_wrongly(body, seed, margin):
     rng = np.random.default_rng(seed)
-    truth, seen = scenes.scene(body, rng, 14, gap=0.03), []
+    truth, seen = random_scenes.scene(body, rng, 14, gap=0.03), []
     for thing in truth:
         offset = rng.normal(size=3)
         place = np.array(thing.pose.position) + 0.005 * offset / np.linalg.norm(offset)
         pose = Pose(tuple(place), thing.pose.quaternion)
         seen.append(Obstacle(thing.name, thing.shape, pose, margin=margin))
-    safety = SafetyFilter(body, scenes.config())
+    safety = SafetyFilter(body, random_scenes.config())
     safety.observe(seen, 0.0)
-    run = scenes.closed_loop(safety, body.home, 5000, seed, hold=1000, toward=0.9)
+    run = random_scenes.closed_loop(safety, body.home, 5000, seed, hold=1000, toward=0.9)
     return least_h(body, run, truth)
 
 
@@ -114,7 +114,7 @@ def test_control_without_the_obstacles_velocity_fails(small):  # noqa: F811
 
 def pressed(body, told, steps=2500):
     """Worst (h, step) in float64; the wall's face looks along -x and starts at x = 0.65 m."""
-    safety, state = SafetyFilter(body, scenes.config()), at.__wrapped__()
+    safety, state = SafetyFilter(body, random_scenes.config()), at.__wrapped__()
     q, log = np.array(body.home), np.empty((steps, body.n))
     turn = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
     for k in range(steps):
@@ -127,13 +127,13 @@ def pressed(body, told, steps=2500):
     start = Obstacle("wall", HalfSpace(), Pose((0.65, 0.0, 0.0), turn))
     shifts = np.zeros((steps, 1, 3))
     shifts[:, 0, 0] = -0.06e-3 * np.arange(1, steps + 1)
-    h = oracle.h_obstacles(body, log, [start], opening=0.04, shifts=shifts)
+    h = geometry_oracle.h_obstacles(body, log, [start], opening=0.04, shifts=shifts)
     return float(h.min()), int(h.argmin())
 
 
 def test_a_ball_that_starts_inside_is_left_monotonically(small):  # noqa: F811
     things = [Obstacle("ball", Sphere(0.06), Pose((0.5, 0.12, 0.45)))]
-    safety = SafetyFilter(small, scenes.config())
+    safety = SafetyFilter(small, random_scenes.config())
     safety.observe(things, 0.0)
     q, h = np.array(small.home), []
     state = at.__wrapped__()

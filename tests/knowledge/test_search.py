@@ -15,7 +15,7 @@ from dualbrain.knowledge.builtin_documents import add_shipped
 from dualbrain.knowledge.library import Library, normalised
 from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
 from dualbrain.memory.embedding.text_encoder import MiniLmEncoder
-from tests.knowledge.questions import BESIDE_THE_POINT, QUESTIONS, place
+from tests.knowledge.search_questions import BESIDE_THE_POINT, QUESTIONS, place
 
 scores = st.dictionaries(st.integers(0, 9), st.floats(0.01, 30), max_size=8)
 cosines = st.dictionaries(st.integers(0, 9), st.floats(-1, 1), max_size=8)

@@ -14,7 +14,7 @@ from dualbrain.memory.maintenance.verification import verify
 from dualbrain.memory.memory import Memory
 from dualbrain.memory.plasticity.retrieval_utility import Change, judge, total, was_used
 from dualbrain.records import OutcomeClass, Recall, Use
-from tests.memory.samples import NOW, REST, contract, episode, open_ledger, open_memory
+from tests.memory.memory_samples import NOW, REST, contract, episode, open_ledger, open_memory
 
 WORDS = ("put the red cube in the bowl", "open the drawer", "push the mug away", "turn off the lamp")
 

@@ -24,7 +24,7 @@ from dualbrain.memory.state.derivation import as_of, derive
 from dualbrain.memory.state.episode_record import LESSONS
 from dualbrain.memory.state.history import spans
 from dualbrain.records import OutcomeClass, Recall
-from tests.memory.samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
+from tests.memory.memory_samples import CONFIG, NOW, REST, episode, open_ledger, open_memory
 
 LIVELY = replace(CONFIG, plasticity=Plasticity(), trust=Trust.none())
 """With a neighbourhood and without defences: every outcome moves several weights."""

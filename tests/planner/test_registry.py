@@ -8,7 +8,7 @@ from dualbrain.errors import MissingPart, UnknownName
 from dualbrain.planner.backends.openai_server import ServerPlanner
 from dualbrain.planner.registry import DEFAULT_PLANNER, SMALL_PLANNER, open_planner, planner_names
 from dualbrain.planner.scripted import ScriptedPlanner
-from tests.planner.questions import request
+from tests.planner.sample_requests import request
 
 
 def test_the_planners_are_the_language_models_of_the_manifest() -> None:

@@ -11,8 +11,8 @@ from dualbrain.planner.protocol import LENGTH, TIMEOUT
 from dualbrain.planner.scripted import ScriptedPlanner
 from dualbrain.records import Use
 from dualbrain.runtime.counterfactual import Counterfactuals
-from tests.once import once
-from tests.stories.rig import contract, ledger_episodes, ledger_kinds, pause, play, settings
+from tests.stories.story_session import contract, ledger_episodes, ledger_kinds, pause, play, settings
+from tests.support.run_once import once
 
 REGISTRY: Registry = vocabulary("panda")
 

@@ -11,8 +11,8 @@ from dualbrain.records import ActionResult, Episode, Outcome, Recall, Scene, Set
 from dualbrain.runtime.replanning import goes_on, setback_of, tried
 from dualbrain.simulation.scenes.generators.catalogue import open_scene
 from dualbrain.simulation.scenes.scene_spec import save_scene
-from tests.planner.questions import request
-from tests.stories.rig import contract, decline, ledger_episodes, pause, play, settings
+from tests.planner.sample_requests import request
+from tests.stories.story_session import contract, decline, ledger_episodes, pause, play, settings
 
 PUSH = {"object": "red_cube", "destination": "blue_bowl", "distance": 0.05, "speed": 0.2, "clearance": 0.15,
         "wait": "none"}  # fmt: skip

@@ -16,7 +16,7 @@ from dualbrain.safety.higher_order import AccelerationConfig, AccelerationFilter
 from dualbrain.safety.higher_order.acceleration_box import acceleration_box, limits_of
 from dualbrain.safety.higher_order.distances import Solids
 from dualbrain.safety.higher_order.sphere_kinematics import Spheres
-from tests.safety import mjcf, oracle, scenes
+from tests.safety import geometry_oracle, mujoco_oracle, random_scenes
 
 PANDA = load_body("panda")
 SMALL = msgspec.structs.replace(PANDA, spheres=PANDA.spheres[::4])
@@ -37,8 +37,8 @@ def clutter(rng):
     return [
         TABLE,
         Obstacle("ball", Sphere(0.1), Pose((0.5, 0.3, 0.5)), (0.3, -0.2, 0.1), velocity_error=0.05, static=False),
-        Obstacle("post", Capsule(0.05, 0.3), Pose((0.4, -0.4, 0.3), scenes.quaternion(rng)), margin=0.01),
-        Obstacle("crate", Box((0.1, 0.2, 0.15)), Pose((-0.4, 0.3, 0.3), scenes.quaternion(rng))),
+        Obstacle("post", Capsule(0.05, 0.3), Pose((0.4, -0.4, 0.3), random_scenes.quaternion(rng)), margin=0.01),
+        Obstacle("crate", Box((0.1, 0.2, 0.15)), Pose((-0.4, 0.3, 0.3), random_scenes.quaternion(rng))),
     ]  # fmt: skip
 
 
@@ -46,9 +46,9 @@ def clutter(rng):
 
 
 def test_motion_of_the_spheres_agrees_with_mujoco(rng):
-    model = mujoco.MjModel.from_xml_string(mjcf.build(PANDA))
+    model = mujoco.MjModel.from_xml_string(mujoco_oracle.build(PANDA))
     data = mujoco.MjData(model)
-    spheres, geoms = Spheres(PANDA), [model.geom(name).id for name in mjcf.sphere_names(PANDA)]
+    spheres, geoms = Spheres(PANDA), [model.geom(name).id for name in mujoco_oracle.sphere_names(PANDA)]
 
     def jacobians(q):
         data.qpos[:] = q
@@ -79,12 +79,12 @@ def test_no_lever_is_longer_than_its_reach(rng):
 
 @pytest.mark.parametrize("shape", [Sphere(0.2), Capsule(0.1, 0.3), Box((0.1, 0.2, 0.3)), HalfSpace()])
 def test_distances_bend_as_their_differences_say(shape, rng):
-    thing = Obstacle("it", shape, Pose((0.0, 0.0, 0.0), scenes.quaternion(rng)))
+    thing = Obstacle("it", shape, Pose((0.0, 0.0, 0.0), random_scenes.quaternion(rng)))
     solids, eps, bent = Solids([thing]), 1e-4, 0
     for _ in range(200):
         point, w = rng.uniform(-0.6, 0.6, 3), rng.uniform(-1.0, 1.0, 3)
         here, after, before = (
-            oracle.surface_distance(shape, thing.pose, p) for p in (point, point + eps * w, point - eps * w)
+            geometry_oracle.surface_distance(shape, thing.pose, p) for p in (point, point + eps * w, point - eps * w)
         )
         gaps = solids.measure(point[None, None], w[None, None], np.full((1, 1), eps * 2.0))
         assert gaps.d[0, 0] - gaps.core[0] == pytest.approx(here, abs=1e-12)
@@ -158,12 +158,12 @@ def test_h_is_the_judges(rng):
     safety = AccelerationFilter(PANDA)
     for _ in range(5):
         q, v = moving(rng)
-        things = scenes.scene(PANDA, rng, 6)
+        things = random_scenes.scene(PANDA, rng, 6)
         safety.observe(things)
         pairs = safety._pairs(q, v, 0.0, 0.0, -LIMITS.acceleration, LIMITS.acceleration)
         own = pairs.near >= 0
-        assert pairs.h[~own].min() == pytest.approx(oracle.h_obstacles(PANDA, q[None], things)[0], abs=1e-9)
-        assert pairs.h[own].min() == pytest.approx(oracle.h_self(PANDA, q[None])[0], abs=1e-9)
+        assert pairs.h[~own].min() == pytest.approx(geometry_oracle.h_obstacles(PANDA, q[None], things)[0], abs=1e-9)
+        assert pairs.h[own].min() == pytest.approx(geometry_oracle.h_self(PANDA, q[None])[0], abs=1e-9)
 
 
 # --- what the period may change -----------------------------------------------------------------------------------
@@ -200,7 +200,7 @@ def test_culling_drops_no_row_that_can_bind(rng):
     safety = AccelerationFilter(PANDA)
     dropped = 0
     for _ in range(10):
-        safety.observe(scenes.scene(PANDA, rng, 8))
+        safety.observe(random_scenes.scene(PANDA, rng, 8))
         q, v = moving(rng, share=rng.uniform(0.0, 0.6))
         lower, upper = acceleration_box(LIMITS, q, v, safety.period, 0.05)
         pairs = safety._pairs(q, v, 0.0, 0.0, lower, upper)
@@ -277,12 +277,12 @@ def adversary(safety, things, seed, steps, q=None, hold=400):
 
 def least_h(log, things, body=SMALL):
     return min(
-        oracle.h_obstacles(body, log, things).min(), oracle.h_self(body, log).min(), oracle.h_joints(body, log).min()
+        geometry_oracle.h_obstacles(body, log, things).min(), geometry_oracle.h_self(body, log).min(), geometry_oracle.h_joints(body, log).min()
     )
 
 
 def holds(body, seed, steps, count=10):
-    things = scenes.scene(body, np.random.default_rng(seed), count)
+    things = random_scenes.scene(body, np.random.default_rng(seed), count)
     log, statuses, least = adversary(AccelerationFilter(body), things, seed, steps)
     assert least_h(log, things, body) >= -1e-12  # a joint stops on its limit up to rounding
     assert least >= 0.0
@@ -306,7 +306,7 @@ def test_no_h_below_zero_in_a_hundred_thousand_steps(seed):
 
 def test_control_gains_beyond_the_acceleration_limits_fail():
     """α₁ is eight times what the limits can follow at full speed: rows conflict when it is too late."""
-    things = scenes.scene(SMALL, np.random.default_rng(1), 14)
+    things = random_scenes.scene(SMALL, np.random.default_rng(1), 14)
     greedy = AccelerationFilter(SMALL, AccelerationConfig(alpha_1=8.0 * PANDA.alpha, alpha_2=60.0))
     log, statuses, _ = adversary(greedy, things, 1, 1000, hold=500)
     assert Status.RELAXED in statuses
@@ -337,9 +337,9 @@ def test_an_arm_at_rest_makes_way_for_what_comes_slowly():
         assert answer.status <= Status.MODIFIED
         q, v = q + dt * v + 0.5 * dt * dt * answer.u, v + dt * answer.u
         log.append(q)
-    assert oracle.h_obstacles(SMALL, np.array(log), [ball], shifts=shifts).min() >= 0.0
+    assert geometry_oracle.h_obstacles(SMALL, np.array(log), [ball], shifts=shifts).min() >= 0.0
     stayed = np.tile(PANDA.home, (1200, 1))
-    assert oracle.h_obstacles(SMALL, stayed, [ball], shifts=shifts).min() < -0.03
+    assert geometry_oracle.h_obstacles(SMALL, stayed, [ball], shifts=shifts).min() < -0.03
 
 
 # --- a start outside the safe set ---------------------------------------------------------------------------------
@@ -390,13 +390,13 @@ def test_too_fast_toward_a_wall_is_told_and_restored_no_worse_than_by_braking():
     assert restored <= braked
     assert not any(answer.too_fast for answer in said[restored:])
     assert all(answer.certified for answer in said[restored:])
-    assert oracle.h_obstacles(PANDA, log, [wall]).min() >= 0.0
+    assert geometry_oracle.h_obstacles(PANDA, log, [wall]).min() >= 0.0
 
 
 def test_no_row_is_met_worse_than_by_braking(rng):
     relaxed = 0
     for _ in range(20):
-        safety = filtered(*scenes.scene(PANDA, rng, 10))
+        safety = filtered(*random_scenes.scene(PANDA, rng, 10))
         q, v = moving(rng, share=0.9)
         answer = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)
         if answer.status is not Status.RELAXED:
@@ -417,7 +417,7 @@ def test_a_start_inside_an_obstacle_is_left(rng):
     centre = Spheres(PANDA).at(q, np.zeros(7), 0.0).centres[-1]
     ball = Obstacle("ball", Sphere(0.03), Pose((*centre[:2], centre[2] - 0.03)))
     log, said = run(filtered(ball), q, np.zeros(7), lambda answer, *_: answer.u, 400)
-    h = oracle.h_obstacles(PANDA, log, [ball])
+    h = geometry_oracle.h_obstacles(PANDA, log, [ball])
     assert h[0] < 0.0 <= h[-1]
     assert any("'ball'" in name for name in said[0].inside)
     assert "already inside" in said[0].explain()
@@ -439,7 +439,7 @@ def test_what_is_strictly_safe_is_returned_bit_for_bit(rng):
 
 
 def test_an_answer_passes_again(rng):
-    safety = filtered(*scenes.scene(PANDA, rng, 8))
+    safety = filtered(*random_scenes.scene(PANDA, rng, 8))
     for _ in range(20):
         q, v = moving(rng, share=0.15)
         first = safety(q, v, rng.uniform(-1.0, 1.0, 7) * LIMITS.acceleration)

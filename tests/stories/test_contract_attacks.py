@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from dualbrain.contracts.verdict import Accepted, Rejected
-from tests.stories.attacks import ATTACKS, GOOD, PAGE, STAGES, attempt, by_class, page, stopped_at
+from tests.stories.contract_attacks import ATTACKS, GOOD, PAGE, STAGES, attempt, by_class, page, stopped_at
 
 LONGEST_REFUSAL = 1200
 
@@ -41,4 +41,4 @@ def test_there_are_enough_of_them_in_every_class_and_at_every_stage() -> None:
 
 def test_the_page_about_the_attacks_is_current() -> None:
     current = page([stopped_at(attempt(attack)) for attack in ATTACKS])
-    assert PAGE.read_text() == current, "run: python -m tests.stories.attacks"
+    assert PAGE.read_text() == current, "run: python -m tests.stories.contract_attacks"

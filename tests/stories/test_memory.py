@@ -6,8 +6,8 @@ from dualbrain.cli.common.exit_codes import Exit
 from dualbrain.cli.run.execution import exit_code
 from dualbrain.planner.prompt.full_prompt import render
 from dualbrain.records import Recall
-from tests.once import once
-from tests.stories.rig import contract, decline, ledger_episodes, pause, play, settings
+from tests.stories.story_session import contract, decline, ledger_episodes, pause, play, settings
+from tests.support.run_once import once
 
 GOAL = "put the red_cube in the blue_bowl"
 BAD = contract(("throw", {"object": "red_cube"}))

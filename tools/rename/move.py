@@ -30,6 +30,7 @@ class Table:
         self.files: dict[str, str] = {}
         self.merged: dict[str, str] = {}
         self.new: list[str] = []
+        self.deleted: list[str] = []
         for path in paths:
             for line in path.read_text().splitlines():
                 found = re.match(r"^(\S+) ([=>]) (\S+)", line)
@@ -38,6 +39,8 @@ class Table:
                 old, kind, new = found.groups()
                 if old == "NEW":
                     self.new.append(new)
+                elif new == "DELETED" or (kind == ">" and old.endswith("__init__.py")):
+                    self.deleted.append(old)
                 elif kind == ">":
                     self.merged[old] = new
                 else:
@@ -228,7 +231,7 @@ def merge(target: str, source: str, own: str) -> str:
 def patterns(table: Table) -> tuple[re.Pattern[str], re.Pattern[str], dict[str, str]]:
     """What to look for in strings and documents."""
     old = sorted((name for name, new in table.modules.items() if "." in name and name != new), key=len, reverse=True)
-    old = [name for name in old if name.startswith(("dualbrain.", "tests.", "proofs."))]
+    old = [name for name in old if name.startswith(("dualbrain.", "tests.", "proofs.", "peers.", "limits.", "mutation.", "outsider."))]
     names = (
         re.compile(r"(?<![\w./])(?:" + "|".join(map(re.escape, old)) + r")(?![\w/])") if old else re.compile(r"(?!)")
     )
@@ -286,6 +289,9 @@ def main() -> int:
         if old in contents:
             target = Path(new)
             target.write_text(merge(target.read_text(), contents[old], dotted(new, after=True)))
+            git("rm", "-q", "-f", old)
+    for old in table.deleted:
+        if Path(old).exists():
             git("rm", "-q", "-f", old)
     for new in table.new:
         path = Path(new)

@@ -147,7 +147,7 @@ HEAD = """# The supervisor
 
 What the local layer does when something is wrong. One function, `Supervisor.update(now, flags)`, turns the conditions
 of a tick into one order: the strongest check that has tripped. This page is generated from the table that it reads
-(`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`); `tests/safety/test_supervisor.py` tries all combinations.
+(`python -m dualbrain.safety.supervisor.checks > docs/supervisor.md`); `tests/safety/supervisor/test_supervisor.py` tries all combinations.
 
 The ladder: NONE < WARN < SLOW (the nominal control is scaled) < HOVER (zero through the filter, which may still let the
 arm yield) < HOLD (monitored standstill, category 2) < CONTROLLED_STOP (brakes, then the drive goes off, category 1) <

@@ -1,0 +1,107 @@
+"""pink: `SelfCollisionBarrier` between the arm's spheres and the obstacles, solved by DAQP through `solve_ik`.
+
+What it evaluates: all pairs by coal, rows built one by one in Python; `closest` keeps the nearest ones only. Joint and
+velocity limits are its own. Gain: ∂h/∂q q̇ ≥ −gain h, so gain = α; the joint limit's gain counts per step, so α dt. The
+nominal enters as a posture target q + u_nom dt (its JointVelocityTask of 4.4.0 tracks minus its target), and the safe-
+displacement cost is off, which would move u where no row is active.
+"""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pink
+import pinocchio as pin
+from pink.barriers import SelfCollisionBarrier
+from pink.limits import ConfigurationLimit, VelocityLimit
+from pink.tasks import PostureTask
+
+from benchmarks.peers.problems.problem import BOX, CAPSULE, Problem
+
+VERSIONS = ("pin-pink", "pin", "coal", "qpsolvers", "daqp", "numpy")
+NO_DAMPING = 1e-12
+
+
+class Filter:
+    """`solve_ik` with barriers on a pinocchio model of the arm."""
+
+    margin = 0.0
+
+    def __init__(
+        self, problem: Problem, *, closest: int | None = None, solver: str = "daqp", alpha: float | None = None,
+        limited: bool = False,
+    ) -> None:  # fmt: skip
+        del limited
+        model, geometry = arm(problem)
+        gain = problem.alpha if alpha is None else alpha
+        self.dt, self.solver = problem.period, solver
+        self.configuration = pink.Configuration(
+            model, model.createData(), problem.home.copy(), collision_model=geometry,
+            collision_data=geometry.createData(),
+        )  # fmt: skip
+        self.count = problem.n_pairs if closest is None else min(closest, problem.n_pairs)
+        self.barriers = [SelfCollisionBarrier(self.count, gain=gain, safe_displacement_gain=0.0, d_min=0.0)]
+        self.limits = [ConfigurationLimit(model, config_limit_gain=problem.alpha * self.dt), VelocityLimit(model)]
+        self.task = PostureTask(cost=1.0)
+        self.pairs = problem.n_pairs
+
+    def step(self, q: np.ndarray, u_nom: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
+        """The velocity that `solve_ik` returns."""
+        del v
+        self.configuration.update(q)
+        self.task.set_target(q + self.dt * u_nom)
+        return pink.solve_ik(
+            self.configuration, [self.task], self.dt, solver=self.solver, damping=NO_DAMPING, limits=self.limits,
+            barriers=self.barriers,
+        )  # fmt: skip
+
+    def evaluated(self) -> dict[str, object]:
+        """What a step looks at."""
+        return {"pairs": self.pairs, "rows_in_qp": self.count + 4 * len(self.configuration.q)}
+
+    def flag(self) -> None:
+        """An answer is an answer; failures are exceptions."""
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+
+def arm(problem: Problem) -> tuple[pin.Model, pin.GeometryModel]:
+    """The chain, its spheres and the obstacles, one collision pair for each moving sphere and obstacle."""
+    model = pin.Model()
+    parent = 0
+    for k in range(problem.n):
+        placement = pin.SE3(problem.joint_rotation[k], problem.joint_offset[k])
+        parent = model.addJoint(
+            parent, pin.JointModelRZ(), placement, f"joint{k + 1}", np.array([87.0]), problem.v_max[k : k + 1],
+            problem.q_lower[k : k + 1], problem.q_upper[k : k + 1],
+        )  # fmt: skip
+    geometry = pin.GeometryModel()
+    spheres = [
+        geometry.addGeometryObject(
+            pin.GeometryObject(
+                f"sphere{i}",
+                int(problem.sphere_frame[i]),
+                0,
+                pin.SE3(np.eye(3), problem.sphere_centre[i]),
+                coal.Sphere(float(problem.sphere_radius[i])),
+            )
+        )
+        for i in np.flatnonzero(problem.sphere_frame > 0)
+    ]
+    for i in range(len(problem.kind)):
+        placement = pin.SE3(problem.rotation[i], problem.position[i])
+        thing = geometry.addGeometryObject(pin.GeometryObject(f"obstacle{i}", 0, 0, placement, shape(problem, i)))
+        for sphere in spheres:
+            geometry.addCollisionPair(pin.CollisionPair(sphere, thing))
+    return model, geometry
+
+
+def shape(problem: Problem, i: int) -> coal.CollisionGeometry:
+    """Obstacle `i` as coal has it; all three kinds are exact there."""
+    radius, half = float(problem.radius[i]), problem.half[i]
+    if problem.kind[i] == CAPSULE:
+        return coal.Capsule(radius, 2.0 * float(half[2]))
+    if problem.kind[i] == BOX:
+        return coal.Box(*(2.0 * half))
+    return coal.Sphere(radius)

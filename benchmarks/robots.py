@@ -1,0 +1,108 @@
+"""One filter step on every body, in µs and as a ratio to the Panda's: the bodies take turns in one process.
+
+    python benchmarks/robots.py [--rounds 40]
+
+Each stands at home, fingers open, in front of its first bare scene (what drives in an empty room or a workroom) and
+wishes for half its speed. Told are the median of the rounds' means, in processor time, which waiting for others does
+not lengthen, and the median and the middle half of the ratios within each round. No shipped body has fourteen joints:
+`two_pandas` is made here, one arm standing at the other's flange, with every pair of their parts kept apart that is not
+adjacent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+
+import msgspec
+import numpy as np
+
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.records import Scene
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import BODIES, load_body
+from dualbrain.robots.model import Body, SelfPairs, Tool
+from dualbrain.safety.barriers.traversable_region import traversable
+from dualbrain.safety.cbf.filter import SafetyFilter
+from dualbrain.safety.cbf.obstacles import from_scene
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+
+STEPS = 500
+FLANGE = (0.0, 0.0, 0.25)
+UP = (0.0, -0.2, 0.0, -0.4, 0.0, 0.4, 0.0)
+"""Where the second arm stands on the first, which is held almost straight up."""
+
+
+def two_pandas() -> Body:
+    """Fourteen joints in one chain."""
+    low = load_body("panda")
+    own = {link.name for link in low.links if link.group == "arm"}
+    first = msgspec.structs.replace(low.joints[0], translation=(0.0, 0.0, FLANGE[2] + low.joints[0].translation[2]))
+    upper = [msgspec.structs.replace(joint, name=f"upper_{joint.name}") for joint in (first, *low.joints[1:])]
+    above = [
+        msgspec.structs.replace(link, name=f"upper_{link.name}", frame=link.frame + 7,
+                                translation=FLANGE if link.frame == 0 else link.translation)
+        for link in low.links
+    ]  # fmt: skip
+    below = [link for link in low.links if link.name in own]
+    balls = [sphere for sphere in low.spheres if sphere.link in own]
+    balls += [msgspec.structs.replace(sphere, link=f"upper_{sphere.link}") for sphere in low.spheres]
+    pairs = [pair for pair in low.self_pairs.kept if own >= set(pair)]
+    pairs += [(f"upper_{a}", f"upper_{b}") for a, b in low.self_pairs.kept]
+    pairs += [(a.name, b.name) for a in below for b in above if b.frame - a.frame > 2]
+    return msgspec.structs.replace(
+        low, name="two_pandas", joints=(*low.joints, *upper), links=(*below, *above), spheres=tuple(balls),
+        self_pairs=SelfPairs(tuple(pairs), ()), home=(*UP, *low.home), tool=Tool("upper_hand", low.tool.translation),
+    )  # fmt: skip
+
+
+MADE = {"two_pandas": two_pandas}
+
+
+def scene_of(body: Body) -> Scene:
+    """The scene that a body stands in."""
+    family = "workroom:0" if body.carries_arm else "empty_room:0" if body.mobile else "bare:0"
+    robot = body.name if body.name in BODIES else "panda"
+    return as_specified(open_scene(family, robot))
+
+
+def filter_of(name: str) -> SafetyFilter:
+    body = MADE[name]() if name in MADE else load_body(name)
+    scene = scene_of(body)
+    safety = SafetyFilter(body)
+    safety.observe(
+        (*from_scene(scene, known=(), held=None), *(traversable("floor", scene.region) if scene.region else ()))
+    )
+    return safety
+
+
+def mean_us(safety: SafetyFilter) -> float:
+    state = at_home(safety.body)
+    wish = 0.5 * np.array([joint.velocity.value for joint in safety.body.joints])
+    start = time.thread_time()
+    for _ in range(STEPS):
+        safety.filter(state, wish, 0.0)
+    return (time.thread_time() - start) / STEPS * 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=40)
+    filters = {name: filter_of(name) for name in (*BODIES, *MADE)}
+    rounds = parser.parse_args().rounds
+    times = {name: [] for name in filters}
+    for _ in range(rounds):
+        for name, safety in filters.items():
+            times[name].append(mean_us(safety))
+    print("| body | n | spheres | pairs kept | obstacles | µs | ratio to the Panda |\n|---|---|---|---|---|---|---|")
+    for name, safety in filters.items():
+        middle, body = statistics.median(times[name]), safety.body
+        ratios = [mine / panda for mine, panda in zip(times[name], times["panda"], strict=True)]
+        low, ratio, high = statistics.quantiles(ratios, n=4, method="inclusive")
+        sizes = f"{body.n} | {len(body.spheres)} | {len(body.self_pairs.kept)} | {len(safety._obstacles)}"
+        print(f"| {name} | {sizes} | {middle:.1f} | {ratio:.2f} ({low:.2f}–{high:.2f}) |")
+
+
+if __name__ == "__main__":
+    main()

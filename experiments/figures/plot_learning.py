@@ -1,0 +1,57 @@
+"""The plot of `learning`: Δ, decision time and weights over repetitions, from the ledgers named in its caption."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.engine.experiment import Row
+
+COLOURS = {"dynamic": "#2a6fb0", "static": "#c2703d"}
+REFUSED = {"dynamic": 0.03, "static": 0.08}
+"""How high above the lower edge a refused contract is marked [share of the axis]."""
+
+
+def plot_learning(rows: list[Row], path: Path) -> None:
+    """Thin lines are ledgers, thick ones their median, crosses contracts that were refused, so that nothing moved.
+
+    The caption names the ledgers by their heads.
+    """
+    figure = Figure(figsize=(10.0, 8.4), layout="constrained")
+    axes = figure.subplots(3, 1)
+    for name, axis, label in (("Delta", axes[0], "Δ of the episode"), ("decision_s", axes[1], "decision time [s]")):
+        for arm, colour in COLOURS.items():
+            lines = [_values(row, name) for row in rows if row["arm"] == arm]
+            for line in lines:
+                axis.plot(line, color=colour, alpha=0.2, lw=0.8)
+            if lines:
+                shortest = min(map(len, lines))
+                known = np.ma.masked_invalid([line[:shortest] for line in lines])
+                axis.plot(
+                    np.ma.median(known, axis=0), color=colour, lw=2.2, label=f"{arm} weights ({len(lines)} ledgers)"
+                )
+        axis.set_ylabel(label)
+        axis.legend(frameon=False)
+    axes[0].set_yscale("symlog", linthresh=1e-3)
+    for row in rows:
+        still = np.flatnonzero(np.isnan(_values(row, "Delta")))
+        where, colour = axes[0].get_xaxis_transform(), COLOURS[row["arm"]]
+        axes[0].plot(still, np.full(len(still), REFUSED[row["arm"]]), "x", color=colour, alpha=0.5, transform=where)
+    for row in rows:
+        if row["arm"] == "dynamic":
+            curve = np.array(row["parted"])
+            axes[2].plot(curve[:, 0], curve[:, 1], color="#3b8f4a", alpha=0.6, lw=1.0)
+            axes[2].plot(curve[:, 0], curve[:, 2], color="#b03a3a", alpha=0.6, lw=1.0)
+    axes[2].set_ylabel("mean weight w")
+    axes[2].set_xlabel("event in the ledger (green: memories of low Δ and success; red: all others)")
+    axes[1].set_xlabel("repetition of the scene")
+    heads = ", ".join(row["ledger"][:8] for row in rows)
+    figure.suptitle(f"ledgers {heads}", fontsize=7, wrap=True)
+    figure.savefig(path, dpi=110)
+
+
+def _values(row: Row, name: str) -> np.ndarray:
+    found = [one[name] for one in row["episodes"]]
+    return np.array([np.nan if value is None else value for value in found])

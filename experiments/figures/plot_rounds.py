@@ -1,0 +1,46 @@
+"""The plot of `rounds`: shares, Δ, intervention and time by round, with their intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.adaptation.rounds import MEASURES, found
+from experiments.engine.experiment import Row
+
+PANELS = (
+    ("compliant", "right", "success", "declined what must be"),
+    ("Δ of successes",),
+    ("intervention frequency",),
+    ("time to completion [s]",),
+)
+COLOURS = ("#2a6fb0", "#c2703d", "#3b8f4a", "#7a5aa6")
+APART = 0.05
+"""Between the lines of one panel [rounds]."""
+
+
+def plot_rounds(rows: list[Row], path: Path) -> None:
+    """A dot is a mean over all episodes of a round, its bar the 95 % interval over places."""
+    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+    numbers = sorted({row["round"] for row in rows})
+    for axis, names in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
+        for place, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
+            told = [found(name, [row for row in rows if row["round"] == number]) for number in numbers]
+            mean = np.array([one.mean for one in told])
+            reach = np.nan_to_num(
+                [[one.mean - one.low for one in told], [one.high - one.mean for one in told]], posinf=0
+            )
+            axis.errorbar(
+                np.array(numbers) + APART * place, mean, np.maximum(reach, 0.0), fmt="o-", color=colour, capsize=3,
+                lw=1.4, label=name,
+            )  # fmt: skip
+        axis.set_xticks(numbers)
+        axis.set_xlabel("round (0: the base)")
+        axis.set_ylim(bottom=0.0, top=1.02 if MEASURES[names[0]].share else None)
+        if len(names) > 1:
+            axis.legend(frameon=False, fontsize=8)
+        else:
+            axis.set_title(names[0], fontsize=9)
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,51 @@
+"""The picture of `tick`: how long the intervals between ticks were, and what the work of a tick is made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
+from dualbrain.control.gatekeeper.timing.tick_timing import BIN
+from dualbrain.safety.supervisor.timing import SIMULATED
+from experiments.engine.experiment import Row
+
+BLUE, ORANGE = "#2a6fb0", "#c2703d"
+SHOWN = 6e-3
+"""Intervals up to here [s]; longer ones are in the last column."""
+
+
+def plot_tick(row: Row, path: Path) -> None:
+    """Left: counts of intervals, logarithmic. Right: mean and 99 % of each part of a tick."""
+    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+    _intervals(left, row)
+    _parts(right, row["parts"])
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=100)
+
+
+def _intervals(axis: Axes, row: Row) -> None:
+    width = BIN * SIMULATED.period
+    last = int(SHOWN / width)
+    counts = np.zeros(last + 1)
+    for k, count in row["bins"].items():
+        counts[min(int(k), last)] += count
+    axis.bar(1e3 * width * (np.arange(last + 1) + 0.5), counts, width=1e3 * width, color=BLUE)
+    axis.axvline(1e3 * SIMULATED.period, color="0.3", lw=0.8, ls="--")
+    axis.set_yscale("log")
+    axis.set_xlabel(f"interval between two joint states [ms] (longest {1e3 * row['interval'][3]:.1f} ms)")
+    axis.set_ylabel(f"of {row['ticks']} states")
+
+
+def _parts(axis: Axes, parts: dict) -> None:
+    names = [name for name in PARTS if name != "wait" and parts[name]["ticks"]][::-1]
+    means = [1e6 * parts[name]["mean"] for name in names]
+    late = [1e6 * parts[name]["quantiles"][1] for name in names]
+    axis.barh(names, late, color=ORANGE, alpha=0.35, label="99 %")
+    axis.barh(names, means, color=BLUE, height=0.45, label="mean")
+    axis.set_xlabel("µs of a tick")
+    axis.legend(frameon=False)

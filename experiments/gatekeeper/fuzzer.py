@@ -1,0 +1,102 @@
+"""What is thrown at the gatekeeper: frames with bytes changed, cut and added, and contracts that are almost right."""
+
+from __future__ import annotations
+
+import re
+from random import Random
+
+import msgspec
+
+from dualbrain.control.gatekeeper.protocol.authentication import seal
+from dualbrain.control.gatekeeper.protocol.frames import encode
+from dualbrain.control.gatekeeper.protocol.messages import (
+    Heartbeat,
+    Hello,
+    Look,
+    Message,
+    Operate,
+    Propose,
+    encode_body,
+    kind_of,
+)
+from dualbrain.grounding.vocabulary import vocabulary
+from experiments.safety.closed_loop import errand
+
+TOKEN = re.compile(rb'"[^"]*"|-?\d+(?:\.\d+)?')
+NUMBERS = (b"0", b"-1", b"0.05", b"0.2", b"0.35", b"0.9", b"30", b"1e308", b"1e999", b"-0.0", b"NaN")
+WORDS = (
+    b'""', b'"red_cube"', b'"green_tin"', b'"blue_bowl"', b'"table_left"', b'"across"', b'"tilted"', b'"until_clear"',
+    b'"grasp"', b'"release"', b'"c-0002"', b'"\\ud800"', b'"' + b"x" * 300 + b'"',
+)  # fmt: skip
+OTHER = (b"null", b"true", b"[]", b"{}", b"[" * 600)
+LIKE = 0.8
+"""How often a number takes a number's place, and a word a word's."""
+LONGEST_NOISE = 64
+
+
+class Fuzzer:
+    """All by one seed; contracts are for the Panda."""
+
+    def __init__(self, seed: int) -> None:
+        """Nothing is drawn yet."""
+        self.rng = Random(seed)
+        registry = vocabulary("panda")
+        context = {"robot": registry.robot, "registry": registry.hash}
+        texts = [errand(speed=speed) for speed in (0.1, 0.3)]
+        texts.append([{"skill": "release", "params": {"speed": 0.1}}, {"skill": "hold", "params": {"duration": 0.5}}])
+        self._texts = [
+            msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions}) for actions in texts
+        ]
+        self._tokens = [[one.span() for one in TOKEN.finditer(text)] for text in self._texts]
+
+    def contract(self) -> bytes:
+        """One in ten is as it should be; most have some words or numbers replaced, the rest bytes changed or lost."""
+        rng = self.rng
+        k = rng.randrange(len(self._texts))
+        text, way = self._texts[k], rng.random()
+        if way < 0.1:
+            return text
+        if way < 0.7:
+            for start, end in sorted(rng.sample(self._tokens[k], rng.choice((1, 1, 1, 2, 3))), reverse=True):
+                alike = WORDS if text[start : start + 1] == b'"' else NUMBERS
+                text = text[:start] + rng.choice(alike if rng.random() < LIKE else OTHER) + text[end:]
+            return text
+        return self._spoilt(bytearray(text), rng.randrange(1, 5))
+
+    def frame(self, message: Message, sequence: int) -> bytes:
+        """The frame of `message`: four in ten as it should be, one in ten pure noise, the others spoilt."""
+        rng = self.rng
+        way = rng.random()
+        if way < 0.1:
+            return rng.randbytes(rng.randrange(1, LONGEST_NOISE))
+        data = encode(kind_of(message), sequence, encode_body(message))
+        return data if way < 0.5 else self._spoilt(bytearray(data), rng.randrange(1, 4))
+
+    def sealed(self, secret: bytes, nonce: bytes, sequence: int, version: int, now: float) -> Propose:
+        """A fuzzed contract under a good seal."""
+        text = self.contract()
+        tag = seal(secret, nonce, sequence, text, issued=now, expires=now + 60.0, version=version)
+        return Propose(contract=text, issued=now, expires=now + 60.0, scene_version=version, seal=tag)
+
+    def word(self) -> Message:
+        """Something that an onlooker may say, or may not; never the emergency stop, which everybody may press."""
+        rng = self.rng
+        kind = rng.randrange(6)
+        if kind == 0:
+            return Propose(contract=self.contract(), issued=0.0, expires=1.0, scene_version=1, seal=b"0" * 32)
+        if kind == 1:
+            return Operate(act=rng.choice(("pause", "resume", "speed", "reset", "shut_down")), speed=rng.random())
+        if kind == 2:
+            return Hello(principal=rng.choice(("", "planner", "operator", "x")), proof=rng.randbytes(32))
+        return Look() if kind == 3 else Heartbeat()
+
+    def _spoilt(self, data: bytearray, times: int) -> bytes:
+        rng = self.rng
+        for _ in range(times):
+            if data:
+                data[rng.randrange(len(data))] = rng.randrange(256)
+        if data and rng.random() < 0.1:
+            del data[rng.randrange(len(data)) :]
+        elif rng.random() < 0.1:
+            data += rng.randbytes(rng.randrange(1, 9))
+        return bytes(data)

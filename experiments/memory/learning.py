@@ -1,0 +1,226 @@
+"""learning: one scene thirty times, with weights that learn and with weights that stand still, from the same start.
+
+Each seed has a start of its own: six contracts with random valid parameters, carried out in the scene and stored by the
+robot's own verdict. Both arms begin with a copy of that ledger, so that only w differs; ε is the median Δ of its
+successes. Nothing reads simulator truth but the table.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import time
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dualbrain.cli.common import paths
+from dualbrain.core.storage.resumable_steps import carry_on
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.plasticity.rule import EPSILON
+from dualbrain.memory.state.derivation import derive
+from dualbrain.planner.protocol import Planner
+from dualbrain.planner.scripted import GivenContract
+from dualbrain.records import Episode
+from dualbrain.runtime.session import Onlooker, RunConfig, Session, Times
+from experiments.engine.experiment import Options, Row, Unit
+from experiments.figures.tables import table
+from experiments.planning.end_to_end import GOAL, planner_of
+from experiments.planning.verdict_confusion import confusion_lines
+from experiments.safety.closed_loop import errand
+
+SCENES, SEEDS, REPETITIONS, FIRST = ("tall_ii:301", "shelf_ii:302", "forearm_ii:303"), 5, 30, 6
+"""Rooms of level II, where a contract matters (docs/learnable.md); seeds that the sweep has not seen."""
+WORDS = "put the red cube in the bowl"
+GRID: dict[str, tuple[Any, ...]] = {
+    "clearance": (0.08, 0.15, 0.2, 0.3), "finger_axis": ("along", "across"), "approach": ("top", "tilted"),
+    "route": ("direct", "near_base", "left", "right"), "opening": (0.055, 0.08),
+}  # fmt: skip
+BEGAN, BETWEEN_S = 1_795_000_000.0, 240.0
+"""Made-up date of the start [s, 1970 UTC], and time between two episodes [s]."""
+LEDGER, TOLD = "ledger.sqlite", "episodes.json"
+PICTURE = "images/learning.png"
+
+
+class Learning:
+    """Repeated scenes."""
+
+    name = "learning"
+    claim = (
+        "One scene 30 times from the same start, 5 fresh ledgers: Δ and decision time over repetitions with dynamic "
+        "weights and with static ones; good and bad memories part in R."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """Scene by scene, seed by seed, both arms; ten units are one scene."""
+        return [
+            Unit(
+                f"{scene} seed {seed} {arm}, {options.planner}",
+                {"scene": scene, "seed": seed, "arm": arm, "planner": options.planner, "repetitions": REPETITIONS,
+                 "folder": str(options.folder / "learning")},
+            )
+            for scene in SCENES for seed in range(SEEDS) for arm in ("dynamic", "static")
+        ]  # fmt: skip
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """The start, which both arms share, then the repetitions; the ledger's head stands in the row.
+
+        Each episode is a step of its own: stopped and begun again, a unit goes on with the next one.
+        """
+        folder, told = Path(about["folder"]), {name: value for name, value in about.items() if name != "folder"}
+        place = f"{about['scene']} seed {about['seed']}".replace(":", "-")
+        planner, arm = planner_of(about["planner"]), f"{place} {about['arm']}, {_plain(about['planner'])}"
+        start = carry_on(folder / f"{place} start", FIRST, lambda number, here: _begin(here, about, number))
+        told["epsilon"] = usual(start / LEDGER)
+        repeat = partial(_repeat, about=about, planner=planner, epsilon=told["epsilon"])
+        last = carry_on(folder / arm, about["repetitions"], repeat, start=start)
+        with LedgerReader(last / LEDGER) as reader:
+            head, state = reader.head(), derive(reader)
+            parted = separation(reader)
+        weights = {memo.id: [memo.weight, memo.kind, memo.Delta] for memo in state.memos}
+        seen = json.loads((last / TOLD).read_text())
+        return {**told, "episodes": seen, "ledger": head.hash, "events": head.seq, "weights": weights, "parted": parted}
+
+    def brief(self, row: Row) -> str:
+        """First and last thirds."""
+        first, last = thirds(row)
+        return f"Δ {first:.4f} -> {last:.4f}, ledger {row['ledger'][:12]}"
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """Δ of the first and the last ten repetitions, by arm and scene; the ledgers' heads."""
+        lines: list[tuple[object, ...]] = []
+        for scene in SCENES:
+            for arm in ("dynamic", "static"):
+                mine = [row for row in rows if (row["scene"], row["arm"]) == (scene, arm)]
+                if mine:
+                    ends = np.array([thirds(row) for row in mine])
+                    good = [np.mean([one["outcome"] == "succeeded" for one in row["episodes"]]) for row in mine]
+                    times = [np.mean([one["decision_s"] for one in row["episodes"]]) for row in mine]
+                    heads = ", ".join(row["ledger"][:8] for row in mine)
+                    cells = [f"{np.mean(x):.4f} ± {np.std(x):.4f}" for x in (ends[:, 0], ends[:, 1])]
+                    lines.append(
+                        (scene, arm, len(mine), *cells, f"{np.mean(good):.2f}", f"{np.mean(times):.1f}", heads)
+                    )
+        head = ("scene", "w", "ledgers", "Δ, first ten", "Δ, last ten", "succeeded", "decision [s]", "ledger heads")
+        picture = [f"![Δ, decision time and weights over repetitions]({PICTURE})", ""]
+        episodes = [one for row in rows for one in row["episodes"]]
+        return [*table(head, lines), *compared(rows), *confusion_lines(episodes), *picture]
+
+
+def start_contracts(seed: int) -> list[list[dict[str, Any]]]:
+    """Six contracts with random valid parameters: no physical selection."""
+    rng = np.random.default_rng([seed, 17])
+    return [errand(**{name: rng.choice(values).item() for name, values in GRID.items()}) for _ in range(FIRST)]
+
+
+def figures(episode: Episode) -> dict[str, Any]:
+    """What one repetition leaves: the robot's own verdict, Δ, decision time, the best exemplar; truth for the table."""
+    best = episode.recall.exemplars[0] if episode.recall.exemplars else None
+    return {
+        "outcome": episode.outcome.kind, "Delta": episode.outcome.Delta, "decision_s": episode.timings["planner"],
+        "motion_s": episode.outcome.duration, "best": best.episode_id if best else None,
+        "best_score": best.score if best else None, "second_opinion": episode.second_opinion,
+        "truth": bool(episode.judgement and episode.judgement.success),
+        "contract": (episode.contract or {}).get("action_sequence"),
+    }  # fmt: skip
+
+
+def usual(ledger: Path) -> float:
+    """Median Δ of the successes in a ledger; the default where there are none."""
+    with LedgerReader(ledger) as reader:
+        sizes = [memo.Delta for memo in derive(reader).memos if memo.r and memo.Delta is not None]
+    return float(np.median(sizes)) if sizes else EPSILON
+
+
+def thirds(row: Row) -> tuple[float, float]:
+    """Mean Δ of the first and of the last third of the repetitions that moved."""
+    found = [one["Delta"] for one in row["episodes"]]
+    third = max(1, len(found) // 3)
+    parts = ([x for x in part if x is not None] for part in (found[:third], found[-third:]))
+    first, last = (float(np.mean(part)) if part else float("nan") for part in parts)
+    return first, last
+
+
+def compared(rows: list[Row]) -> list[str]:
+    """Ledger by ledger, the last third: dynamic against static from the same start, by Δ and by refusals."""
+    pairs: dict[tuple[str, int], dict[str, Row]] = {}
+    for row in rows:
+        pairs.setdefault((row["scene"], row["seed"]), {})[row["arm"]] = row
+    both = [pair for pair in pairs.values() if len(pair) == 2]
+    if not both:
+        return []
+    less = np.array([thirds(pair["dynamic"])[1] - thirds(pair["static"])[1] for pair in both])
+    lower, higher = int(np.sum(less < 0.0)), int(np.sum(less > 0.0))
+    still = {arm: sum(one["Delta"] is None for pair in both for one in pair[arm]["episodes"]) for arm in both[0]}
+    of = sum(len(pair["dynamic"]["episodes"]) for pair in both)
+    return [
+        f"Last ten repetitions, dynamic weights against static ones from the same start: Δ lower in {lower} of "
+        f"{len(both)} ledgers, higher in {higher}; mean difference {np.nanmean(less):+.4f}. Contracts that were "
+        f"refused: {still['dynamic']} of {of} with dynamic weights, {still['static']} of {of} with static ones.",
+        "",
+    ]
+
+
+def separation(ledger: LedgerReader) -> list[list[float]]:
+    """Event by event: mean weight of memories whose own outcome was good (r = 1, Δ ≤ median) and of all others."""
+    state = derive(ledger)
+    sizes = [memo.Delta for memo in state.memos if memo.r and memo.Delta is not None]
+    middle = float(np.median(sizes)) if sizes else 0.0
+    good = {memo.id for memo in state.memos if memo.r and memo.Delta is not None and memo.Delta <= middle}
+    weights: dict[str, float] = {}
+    curve: list[list[float]] = []
+    for event in ledger.events("kind IN ('episode', 'weight')"):
+        told = msgspec.json.decode(event.payload)
+        weights[event.subject] = told["after"] if event.kind == "weight" else told["w0"]
+        means = [
+            np.mean([w for name, w in weights.items() if (name in good) == side] or [0.5]) for side in (True, False)
+        ]
+        curve.append([float(event.seq), *map(float, means)])
+    return curve
+
+
+def _begin(here: Path, about: dict[str, Any], number: int) -> None:
+    """One contract of the start, in the ledger at `here`; it teaches nothing yet."""
+    actions = start_contracts(about["seed"])[number]
+    _play(here / LEDGER, about, GivenContract("start", _contract(actions)), f"s-{number}", number, static=True)
+
+
+def _repeat(number: int, here: Path, about: dict[str, Any], planner: Planner, epsilon: float) -> None:
+    """One repetition, and what it leaves for the row."""
+    static, turn = about["arm"] == "static", FIRST + number
+    episode = _play(here / LEDGER, about, planner, f"r-{number}", turn, static=static, epsilon=epsilon)
+    file = here / TOLD
+    told = json.loads(file.read_text()) if file.exists() else []
+    file.write_text(json.dumps([*told, figures(episode)]))
+
+
+def _play(
+    ledger: Path, about: dict[str, Any], planner: Planner, name: str, turn: int, *, static: bool, epsilon: float = 0.0
+) -> Episode:  # fmt: skip
+    """One run of the scene, the `turn`-th on this ledger: dates are made up, whatever the machine does."""
+    with tempfile.TemporaryDirectory(prefix="dualbrain-learning-run-") as folder:
+        seed = about["seed"] * 1000 + int(name.split("-")[1]) + 500 * name.startswith("r")
+        config = RunConfig(
+            WORDS, Path(folder) / name, ledger, paths.cache(), scene=about["scene"], goal=GOAL, visuals=False,
+            seed=seed, static=static, epsilon=epsilon,
+        )  # fmt: skip
+        dates = count(BEGAN + turn * BETWEEN_S, 1.0)
+        times = Times(time.monotonic, "2026-11-21T00:00:00+00:00", lambda: next(dates))
+        with Session(config, times, {}, planner) as session:
+            return session.run(Onlooker()).episode
+
+
+def _plain(name: str) -> str:
+    """`name` as a part of a file name."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name)
+
+
+def _contract(actions: list[dict[str, Any]]) -> bytes:
+    context = {"robot": "panda", "registry": vocabulary("panda").hash}
+    return msgspec.json.encode({"id": "c-0001", "context": context, "action_sequence": actions})

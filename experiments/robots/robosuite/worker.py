@@ -1,0 +1,224 @@
+"""The suite's process: robosuite's Lift or Stack with its Panda, stepped by joint velocities through pipes.
+
+Run by `child.py` as `python -m experiments.robots.robosuite.worker` in the suite's environment; knows nothing of dualbrain. Physics, time
+step, objects, placement, torque controller and success check are robosuite's as they are. Its JOINT_TORQUE controller
+adds the Coriolis and gravity torque; in front of it stands a velocity layer (computed torque; Siciliano et al.,
+Robotics, 8.5.2)
+
+    τ = M(q) k (u − v) − p(q, v),    k = 1/(LAG + dt)
+
+with M the inertia, p the passive torque. It has no integral: what a load takes away stays.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import defaultdict
+from typing import Any
+
+import mujoco
+import numpy as np
+import robosuite
+from numpy.typing import NDArray
+from robosuite import macros
+from robosuite.controllers import load_composite_controller_config
+
+from experiments.robots.robosuite.limit_monitor import Account
+from experiments.robots.robosuite.pipe_protocol import Broken, receive, send
+
+Array = NDArray[np.float64]
+
+LAG = 0.002
+"""Lag that the velocity layer is tuned to [s]."""
+ARM = "robot0_link"
+SOLIDS = {0: "plane", 5: "cylinder", 6: "box"}
+"""Shapes of MuJoCo that robosuite's tables, mounts and cubes are made of."""
+HORIZON = 1_000_000
+
+
+class Suite:
+    """One task of robosuite, and what is read from its simulation."""
+
+    def __init__(self, task: str, seed: int) -> None:
+        """A fresh environment; its own seed decides on cubes and on the arm's start."""
+        self.env = _environment(task, seed)
+        self.model, self.data = self.env.sim.model._model, self.env.sim.data._data
+        robot = self.env.robots[0]
+        self._q, self._v = np.array(robot._ref_joint_pos_indexes), np.array(robot._ref_joint_vel_indexes)
+        self._fingers = np.array(robot._ref_gripper_joint_pos_indexes["right"])
+        self._dofs = np.ix_(self._v, self._v)
+        self._site = robot.eef_site_id["right"]
+        base = self.data.body(robot.robot_model.root_body)
+        self._origin, self._turn = base.xpos.copy(), base.xmat.reshape(3, 3).copy()
+        self._limits = self.model.actuator_ctrlrange[robot._ref_arm_joint_actuator_indexes, 1].copy()
+        self._gain = 1.0 / (LAG + self.model.opt.timestep)
+        self._inertia = np.zeros((self.model.nv, self.model.nv))
+        self._owner = [self._owner_of(geom) for geom in range(self.model.ngeom)]
+        self.cubes = sorted(name for name in set(self._owner) if name.startswith("cube"))
+        self._judged = self._judged_pairs()
+        self._account, self._wrench = Account(), np.zeros(6)
+        self._steps = self._saturated = 0
+        self._success = False
+        self._first_success: float | None = None
+
+    # --- what is told -----------------------------------------------------------------------------------------
+
+    def about(self) -> dict[str, Any]:
+        """Period, cubes, everything that stands there with its shape in the arm's base frame, and the first state."""
+        return {
+            "period": float(self.model.opt.timestep),
+            "cubes": self.cubes,
+            "things": [self._thing(geom) for geom in range(self.model.ngeom) if self._stands(geom)],
+            "torques": self._limits.tolist(),
+            "state": self.state().tolist(),
+        }
+
+    def sites(self, postures: Array) -> list[list[float]]:
+        """The suite's grip site at `postures` (k, 7): position and rotation matrix, 12 numbers, in the base frame."""
+        scratch = mujoco.MjData(self.model)
+        found = []
+        for q in postures:
+            scratch.qpos[:] = self.data.qpos
+            scratch.qpos[self._q] = q
+            mujoco.mj_kinematics(self.model, scratch)
+            at = self._turn.T @ (scratch.site_xpos[self._site] - self._origin)
+            turn = self._turn.T @ scratch.site_xmat[self._site].reshape(3, 3)
+            found.append([*at.tolist(), *turn.ravel().tolist()])
+        return found
+
+    def state(self) -> Array:
+        """Time [s], q (7,), v (7,), opening of a finger [m], success, then position and quaternion of each cube."""
+        opening = 0.5 * float(np.abs(self.data.qpos[self._fingers]).sum())
+        poses = [number for name in self.cubes for number in self._pose(self.data.body(f"{name}_main"))]
+        head = [self.data.time, *self.data.qpos[self._q], *self.data.qvel[self._v], opening, float(self._success)]
+        return np.array([*head, *poses])
+
+    def account(self) -> dict[str, Any]:
+        """What was judged up to now."""
+        return {
+            "success": bool(self.env._check_success()),
+            "first_success": self._first_success,
+            "breaches": self._account.breaches(),
+            "saturated": self._saturated / max(1, self._steps),
+        }
+
+    # --- one period -------------------------------------------------------------------------------------------
+
+    def step(self, command: Array) -> Array:
+        """Drive at joint velocities command[:7] [rad/s], fingers closing where command[7] > 0; the state after it."""
+        torque = self._torque(command[:7])
+        _, reward, _, _ = self.env.step(np.r_[torque / self._limits, command[7]])
+        self._success = reward > 0.0
+        if self._success and self._first_success is None:
+            self._first_success = round(self.data.time, 4)
+        self._account.tick(self.data.time, self.data.qpos[self._q], self.data.qvel[self._v], self._touches())
+        return self.state()
+
+    def _torque(self, u: Array) -> Array:
+        """What the controller is asked for, before it adds the bias and clips."""
+        data = self.data
+        mujoco.mj_fullM(self.model, self._inertia, data.qM)
+        wish = self._inertia[self._dofs] @ (self._gain * (u - data.qvel[self._v])) - data.qfrc_passive[self._v]
+        self._steps += 1
+        self._saturated += bool(np.any(np.abs(wish + data.qfrc_bias[self._v]) >= self._limits))
+        return wish
+
+    def _touches(self) -> dict[tuple[str, str], float]:
+        """Normal forces [N] between parts of the robot and what they should not meet."""
+        found: dict[tuple[str, str], float] = defaultdict(float)
+        pairs = self.data.contact.geom
+        for index in np.flatnonzero(self._judged[pairs[:, 0], pairs[:, 1]]).tolist():
+            mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
+            one, other = sorted(self._owner[geom] for geom in pairs[index])
+            found[one, other] += float(self._wrench[0])
+        return found
+
+    # --- the model --------------------------------------------------------------------------------------------
+
+    def _owner_of(self, geom: int) -> str:
+        name = self.model.body(self.model.geom_bodyid[geom]).name
+        if name.startswith("gripper0"):
+            return "finger" if "finger" in name else "hand"
+        if name.startswith("fixed_mount"):
+            return "mount"
+        return name.removeprefix("robot0_").removesuffix("_main").replace("world", "floor")
+
+    def _judged_pairs(self) -> NDArray[np.bool_]:
+        """Pairs of geoms that should not meet: the robot with things and itself; fingers may take the first cube."""
+        robot = np.array([name.startswith(("link", "hand", "finger")) for name in self._owner])
+        finger = np.array([name == "finger" for name in self._owner])
+        target = np.array([name == self.cubes[0] for name in self._owner])
+        judged = robot[:, None] | robot
+        allowed = (finger[:, None] & target) | (finger[:, None] & finger)
+        return judged & ~(allowed | allowed.T)
+
+    def _stands(self, geom: int) -> bool:
+        """Whether a shape can be met and is no part of the arm."""
+        meets = self.model.geom_contype[geom] or self.model.geom_conaffinity[geom]
+        return bool(meets) and not self._owner[geom].startswith(("link", "hand", "finger"))
+
+    def _thing(self, geom: int) -> dict[str, Any]:
+        quaternion = np.zeros(4)
+        turn = self._turn.T @ self.data.geom_xmat[geom].reshape(3, 3)
+        mujoco.mju_mat2Quat(quaternion, turn.ravel())
+        return {
+            "name": self._owner[geom], "solid": SOLIDS[int(self.model.geom_type[geom])],
+            "size": self.model.geom_size[geom].tolist(), "quaternion": quaternion.tolist(),
+            "position": (self._turn.T @ (self.data.geom_xpos[geom] - self._origin)).tolist(),
+        }  # fmt: skip
+
+    def _pose(self, body: Any) -> list[float]:
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, (self._turn.T @ body.xmat.reshape(3, 3)).ravel())
+        return [*(self._turn.T @ (body.xpos - self._origin)).tolist(), *quaternion.tolist()]
+
+
+def _environment(task: str, seed: int) -> Any:
+    """An environment of robosuite at its own time step, one action a step of physics, nothing drawn or observed."""
+    config = load_composite_controller_config(robot="Panda")
+    arm = config["body_parts"]["right"]
+    limits = [80.0] * 5 + [12.0] * 2
+    config["body_parts"]["right"] = {
+        "type": "JOINT_TORQUE", "input_max": 1, "input_min": -1, "output_max": limits,
+        "output_min": [-limit for limit in limits], "interpolation": None, "gripper": arm["gripper"],
+    }  # fmt: skip
+    env = robosuite.make(
+        task, robots="Panda", controller_configs=config, has_renderer=False, has_offscreen_renderer=False,
+        use_camera_obs=False, use_object_obs=False, control_freq=round(1.0 / macros.SIMULATION_TIMESTEP),
+        horizon=HORIZON, ignore_done=True, seed=seed,
+    )  # fmt: skip
+    for name in env.observation_names:
+        env.modify_observable(name, "enabled", False)
+        env.modify_observable(name, "active", False)
+    env.sim.forward()
+    return env
+
+
+def main() -> None:
+    """Answer until the input ends; whatever libraries print goes to stderr."""
+    answers = os.dup(1)
+    os.dup2(2, 1)
+    versions = {"robosuite": robosuite.__version__, "mujoco": mujoco.__version__, "numpy": np.__version__}
+    send(answers, {"versions": versions})
+    suite: Suite | None = None
+    while True:
+        try:
+            ask = receive(0)
+        except Broken:
+            return
+        if not isinstance(ask, dict):
+            send(answers, suite.step(ask))
+        elif ask["do"] == "open":
+            if suite is not None:
+                suite.env.close()
+            suite = Suite(ask["task"], ask["seed"])
+            send(answers, suite.about())
+        elif ask["do"] == "sites":
+            send(answers, {"sites": suite.sites(np.array(ask["postures"]))})
+        else:
+            send(answers, suite.account())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,112 @@
+"""adversary: at least 1e8 steps in which everything goes as wrong as the stated bounds allow, judged in float64."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dualbrain.robots.loader import load_body
+from dualbrain.robots.model import Body
+from dualbrain.safety.cbf.compiled._kernel import Judge
+from dualbrain.safety.cbf.filter import SafetyFilter
+from experiments.engine.experiment import Options, Row, Unit
+from experiments.safety import random_scenes
+from experiments.safety.adversary_classes import CLASSES, CONTROLS, MOVING, STATIC, Class
+from experiments.safety.adversary_tables import tables
+from experiments.safety.reference_judge import judge_of, thing_rows
+
+EPISODES, STEPS = 20, 10_000
+CYCLE = [kind for kind in (*STATIC[:4], *STATIC, MOVING[0]) for _ in range(2)] + list(MOVING)
+"""What runs round after round: 25 units."""
+ROUNDS, CONTROL_ROUNDS = 21, 2
+SUMS = (
+    "steps", "status", "held", "still", "moving", "touched", "plans", "attacked", "contacts", "approaching", "jerks",
+    "iterations", "rows",
+)  # fmt: skip
+LEAST = ("h_still", "h_self", "h_joint", "h_moving")
+MOST = ("most_iterations", "most_rows", "approach")
+
+
+class Adversary:
+    """Forward invariance against an adversary with noise, losses, lag and acceleration limits."""
+
+    name = "adversary"
+    claim = (
+        "In at least 1e8 adversarial steps no true h falls below zero among static obstacles in documented "
+        "configurations; what moves and leaves an escape is not approached at contact; each negative control fails."
+    )
+
+    def units(self, options: Options) -> list[Unit]:
+        """Rounds over all classes; the negative controls with the first ones."""
+        del options
+        wanted = [kind for round_ in range(ROUNDS) for kind in (*CYCLE, *(CONTROLS if round_ < CONTROL_ROUNDS else ()))]
+        counts: dict[str, int] = {}
+        units = []
+        for kind in wanted:
+            block = counts[kind.name] = counts.get(kind.name, -1) + 1
+            units.append(Unit(f"{kind.name} {block}", {"class": kind.name, "block": block}))
+        return units
+
+    def run(self, about: dict[str, Any]) -> Row:
+        """EPISODES random scenes of STEPS steps each."""
+        kind, first = CLASSES[about["class"]], about["block"] * EPISODES
+        accounts = [episode(kind, seed) for seed in range(first, first + EPISODES)]
+        worst = min(range(EPISODES), key=lambda i: accounts[i]["h_still"])
+        return {**about, **total(accounts), "worst": [first + worst, accounts[worst]["worst_step"]]}
+
+    def brief(self, row: Row) -> str:
+        """Least h and the steps below zero."""
+        least = min(row["h_still"], row["h_self"])
+        return f"h >= {least * 1e3:.3f} mm, below zero on {sum(row['still'])} of {row['steps']} steps"
+
+    def report(self, rows: list[Row]) -> list[str]:
+        """Static, moving and control classes; premises; violations by the premise that failed."""
+        return tables({name: total(group) for name, group in _by_class(rows)})
+
+
+def episode(kind: Class, seed: int, steps: int = STEPS) -> Row:
+    """One random scene and start posture; what the lab counted."""
+    return run_in(kind, seed, steps)[0]
+
+
+def run_in(kind: Class, seed: int, steps: int, *, log: bool = False) -> tuple[Row, np.ndarray, list[Any]]:
+    """Account, true postures (steps, n) if asked for, and the true obstacles at the start."""
+    body, judge = the_body()
+    rng = np.random.default_rng([seed, zlib.crc32(kind.name.encode())])
+    q = random_scenes.posture(body, judge, rng)
+    truth = random_scenes.things(judge, q, rng, int(rng.integers(4, 15)))
+    if kind.moving:
+        truth.append(random_scenes.mover(judge, q, rng))
+    safety = SafetyFilter(body, kind.config())
+    safety.observe([kind.perceived(thing) for thing in truth], 0.0)
+    safety.reset()
+    q, path = q.copy(), np.empty((steps, body.n) if log else 0)
+    account = judge.trial(safety._kernel.parts(), thing_rows(truth), kind.trial(seed, steps), q, path)
+    return account, path, truth
+
+
+@cache
+def the_body() -> tuple[Body, Judge]:
+    """The Panda with every sphere, fingers closed, and its judge."""
+    body = load_body("panda")
+    return body, judge_of(body)
+
+
+def total(accounts: Iterable[Row]) -> Row:
+    """Sums, least and greatest values of accounts, element by element."""
+    group = list(accounts)
+    columns = {key: np.array([account[key] for account in group]) for key in (*SUMS, *LEAST, *MOST)}
+    whole: Row = {key: columns[key].sum(axis=0).tolist() for key in SUMS}
+    whole |= {key: columns[key].min(axis=0).tolist() for key in LEAST}
+    return whole | {key: columns[key].max(axis=0).tolist() for key in MOST}
+
+
+def _by_class(rows: list[Row]) -> Iterable[tuple[str, list[Row]]]:
+    for name in CLASSES:
+        group = [row for row in rows if row["class"] == name]
+        if group:
+            yield name, group

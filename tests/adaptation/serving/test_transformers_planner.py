@@ -1,0 +1,142 @@
+"""The planner in transformers answers as llama.cpp does, bound by the same grammar."""
+
+# ruff: noqa: E402  (nothing is imported where the extras are missing)
+import json
+
+import jsonschema_rs
+import msgspec
+import pytest
+
+for part in ("torch", "peft", "gguf", "xllamacpp", "llguidance"):
+    pytest.importorskip(part, reason="the extras `adapt` and `planner` are not installed")
+import torch
+from safetensors.torch import load_file, save_file
+
+from dualbrain.adaptation.adapters.card import CONFIG, WEIGHTS, weights_id, write_card
+from dualbrain.adaptation.adapters.stacking import stack_of
+from dualbrain.adaptation.serving import transformers_planner
+from dualbrain.adaptation.serving.open_planner import open_planner, origin, wear
+from dualbrain.adaptation.serving.transformers_planner import TorchConfig, TorchPlanner
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.planner import protocol
+from dualbrain.planner.backends.llama_cpp import LlamaConfig
+from dualbrain.planner.introspection import template_of
+from dualbrain.planner.prompt.full_prompt import template_hash
+from dualbrain.planner.prompt.prompt_format import FREE, SHORT
+from dualbrain.planner.prompt.short_prompt import short_template_hash
+from tests.adaptation import tiny_adapter, tiny_gguf
+from tests.adaptation.tiny_gguf import model
+from tests.planner.sample_requests import REGISTRY, request
+
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning")
+SHORT_STEPS = {"type": "array", "items": {"enum": ["open", "close"]}, "minItems": 1, "maxItems": 2}
+ASKED = request(schema={"type": "object", "properties": {"action_sequence": SHORT_STEPS}})
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A home with the tiny base and an adapter."""
+    tiny_gguf.read_by_transformers(monkeypatch)
+    tiny_adapter.base(tmp_path / "cache", monkeypatch)
+    tiny_adapter.adapter(model("llama"), tmp_path / "fit")
+    return tmp_path
+
+
+def planner(home, asking=SHORT, **config):
+    stack = stack_of(home / "fit", home / "cache")
+    return TorchPlanner("tiny+ab", stack, home / "cache", asking, TorchConfig(**({"max_tokens": 48} | config)))
+
+
+def test_it_says_what_llama_cpp_says(home):
+    ours = planner(home).propose(ASKED)
+    theirs = wear(stack_of(home / "fit", home / "cache"), home / "cache", LlamaConfig(n_ctx=2048, max_tokens=48))
+    try:
+        assert theirs.propose(ASKED).text == ours.text
+        assert theirs.messages(ASKED) == planner(home).messages(ASKED)
+    finally:
+        theirs.close()
+    assert ours.finish_reason == protocol.STOP
+    jsonschema_rs.validator_for(ASKED.schema).validate(json.loads(ours.text))
+    assert "llguidance" in ours.constrained_by
+    assert "transformers" in ours.constrained_by
+    assert planner(home).propose(ASKED).text == ours.text
+
+
+def test_left_free_it_is_bound_by_nothing_and_says_so(home):
+    proposal = planner(home, FREE, max_tokens=8).propose(ASKED)
+    assert proposal.finish_reason == protocol.LENGTH
+    assert proposal.constrained_by == "nothing (free decoding)"
+    assert not proposal.text.startswith('{"id"')
+
+
+def test_a_time_limit_is_a_finish_reason(home):
+    assert planner(home, timeout_s=0.0).propose(ASKED).finish_reason == protocol.TIMEOUT
+
+
+def test_what_it_was_not_taught_is_refused_before_anything_is_loaded(home, monkeypatch):
+    monkeypatch.setattr(transformers_planner, "dressed", None)
+    for wrong in ({"robot": "ur5e"}, {"registry_hash": "00000000"}, {"schema": {"type": "object"}}):
+        with pytest.raises(InvalidSetup):
+            planner(home).propose(request(**wrong))
+
+
+def test_a_vocabulary_that_only_narrows_what_it_was_taught_is_answered(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": "narrower"}
+    name = f"transformers:adapter:{home / 'fit'}"
+    opened = open_planner(name, home / "cache", **told, narrowed={"narrower": REGISTRY.hash})
+    asked = msgspec.structs.replace(ASKED, registry_hash="narrower")
+    assert opened.propose(asked).text.startswith('{"id":"c-0007","context":{"robot":"panda","registry":"narrower"}')
+    with pytest.raises(InvalidSetup, match="vocabulary of adapter"):
+        open_planner(name, home / "cache", **told)
+
+
+def opened(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    return open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [{"peft_type": "IA3"}, {"layers_to_transform": [0]}, {"use_dora": True}, {"rank_pattern": {"(a+)+!": 4}}, None],
+    ids=str,
+)
+def test_what_llama_cpp_would_not_wear_is_refused_when_it_is_opened(home, told):
+    path = home / "fit" / CONFIG
+    path.write_text("{" if told is None else json.dumps(json.loads(path.read_bytes()) | told))
+    with pytest.raises(InvalidSetup, match="LoRA"):
+        opened(home)
+
+
+@pytest.mark.parametrize(
+    ("rows", "name", "word"),
+    [(258, "lm_head", "LoRA layer"), (64, "model.layers.7.self_attn.q_proj", "LoRA layer"),
+     (1, "model.layers.0.self_attn.q_proj", "LoRA of model.layers.0")],
+)  # fmt: skip
+def test_what_has_no_place_in_the_base_is_refused_before_it_answers(home, rows, name, word):
+    """A single row would be added to all of them."""
+    tensors = load_file(home / "fit" / WEIGHTS) | {
+        f"base_model.model.{name}.lora_{half}.weight": torch.ones(shape) for half, shape in
+        (("A", (4, 64)), ("B", (rows, 4)))
+    }  # fmt: skip
+    card = stack_of(home / "fit", home / "cache").top
+    save_file(tensors, home / "fit" / WEIGHTS)
+    write_card(msgspec.structs.replace(card, id=weights_id(home / "fit")), home / "fit")
+    planner = opened(home)
+    with pytest.raises(InvalidSetup, match=word):
+        planner.propose(ASKED)
+
+
+def test_it_is_opened_by_name(home):
+    told = {"adapters": home / "adapters", "robot": REGISTRY.robot, "registry": REGISTRY.hash}
+    opened = open_planner(f"transformers:adapter:{home / 'fit'}", home / "cache", **told)
+    assert isinstance(opened, TorchPlanner)
+    assert opened.name.startswith("tiny+")
+    bare = open_planner("transformers:tiny", home / "cache", **told)
+    assert bare.name == "tiny in torch"
+    assert origin(opened) == {"prompt": short_template_hash(), "adapter": opened.stack.top.id}
+    assert (origin(bare), template_of(bare)) == ({}, template_hash())
+    for wrong in ("bse-135m", "", "efficientnet-lite0"):
+        with pytest.raises(UnknownName, match="base-135m"):
+            open_planner(f"transformers:{wrong}", home / "cache", **told)
+    with pytest.raises(UnknownName):
+        open_planner("transformers:nobody", home / "cache", **told)

@@ -1,0 +1,48 @@
+"""Plain fine-tuning by another hand: TRL's trainer and ours go the same way, step for step."""
+
+import pytest
+
+pytest.importorskip("torch", reason="the extra `adapt` is not installed")
+pytest.importorskip("peft", reason="the extra `adapt` is not installed")
+trl = pytest.importorskip("trl", reason="TRL is for this comparison only")
+datasets = pytest.importorskip("datasets", reason="TRL is for this comparison only")
+
+import torch  # noqa: E402
+
+from dualbrain.adaptation.training.master_weights import Masters  # noqa: E402
+from dualbrain.adaptation.training.model.batching import collate, contract_states  # noqa: E402
+from dualbrain.adaptation.training.objective import objective  # noqa: E402
+from tests.adaptation.tiny_model import learner, samples  # noqa: E402
+
+STEPS, RATE = 5, 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_without_lambda_and_beta_we_go_where_trl_goes(tmp_path):
+    """Each step sees all four samples, so that their order cannot matter."""
+    ours, theirs, some = learner(), learner(), samples(4)
+    rows = [
+        {"input_ids": [*one.prompt, *one.contract], "completion_mask": [0] * len(one.prompt) + [1] * len(one.contract)}
+        for one in some
+    ]
+    shape = trl.SFTConfig(
+        output_dir=str(tmp_path), max_steps=STEPS, per_device_train_batch_size=4, learning_rate=RATE, weight_decay=0.0,
+        lr_scheduler_type="constant", max_grad_norm=1e9, optim="adamw_torch", logging_steps=1, save_strategy="no",
+        report_to="none", use_cpu=True, bf16=False, gradient_checkpointing=False, completion_only_loss=True,
+    )  # fmt: skip
+    trainer = trl.SFTTrainer(
+        model=theirs.model, args=shape, train_dataset=datasets.Dataset.from_list(rows),
+        processing_class=theirs.tokenizer,
+    )  # fmt: skip
+    trainer.train()
+    losses = [row["loss"] for row in trainer.state.log_history if "loss" in row]
+    masters, batch = Masters(ours.parameters), collate(some, ours.padding)
+    for step in range(STEPS):
+        hidden, labels = contract_states(ours.decoder, batch)
+        loss = objective(hidden, ours.head, labels, torch.ones(len(labels)), len(labels)).total
+        loss.backward()
+        masters.step(RATE, clip=1e9)
+        assert float(loss.detach()) == pytest.approx(losses[step], rel=1e-3)
+    for name, parameter in ours.parameters.items():
+        torch.testing.assert_close(parameter, theirs.parameters[name].to(parameter), rtol=1e-2, atol=1e-4)

@@ -1,0 +1,67 @@
+"""Fits of the tiny model, to be tried alone, interrupted, or in several processes."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from dualbrain.adaptation.config import AdaptConfig
+from dualbrain.adaptation.curation.dataset import Dataset, DatasetCard
+from dualbrain.adaptation.curation.sample import Sample, answer
+from dualbrain.adaptation.training.process_group import ALONE
+from dualbrain.adaptation.training.trainer import BEST, CHECKPOINT, STATES, Fit
+from tests.adaptation.tiny_model import DIALS, learner
+
+ANSWERS = ("grasp cup", "place", "push tin", "go home")
+DEFAULT = AdaptConfig(fit=DIALS)
+
+
+def exactly(text, sample):
+    return text == sample.contract
+
+
+def sample(number, words=None):
+    said = ANSWERS[number % 4] if words is None else words
+    turns = [{"role": "user", "content": f"do {number}"}]
+    return Sample(
+        f"s{number}", turns, answer(said), number % 3 / 2, 0.0, 1.0, 1 + number % 2, f"g{number}", f"m{number}",
+        (number,), "a test", (), (),
+    )  # fmt: skip
+
+
+def dataset(train=9, held_out=3, name="a"):
+    rows = tuple(sample(i) for i in range(train + held_out))
+    card = DatasetCard(name, "", "panda", "", "", "", 0, 0, train, held_out, 0, 0, 0, {}, {}, 0.0, 1.5, 4, 0.2, "")
+    return Dataset(card, rows[:train], rows[train:])
+
+
+@dataclass
+class Bench:
+    """A fit of a tiny model in `folder`."""
+
+    folder: Path
+    data: Dataset = field(default_factory=dataset)
+    config: AdaptConfig = DEFAULT
+    judge: object = exactly
+    clock: object = lambda: 0.0
+    team: object = ALONE
+
+    def __post_init__(self):
+        self.folder.mkdir(exist_ok=True)
+        self.learner = learner(self.config.fit)
+        self.fit = Fit(
+            self.learner, self.data, self.config, self.judge, self.folder, base="base", clock=self.clock, team=self.team
+        )
+
+    def run(self, tell=lambda progress: None):
+        return self.fit.run(tell)
+
+    def left(self):
+        """What the fit leaves: checkpoint and best adapter, to the byte, and nothing half-written."""
+        names = {path.name for path in self.folder.iterdir()}
+        assert names == {CHECKPOINT, BEST, STATES}
+        return {name: (self.folder / name).read_bytes() for name in names}
+
+
+def dials(**changed):
+    return AdaptConfig(fit=msgspec.structs.replace(DIALS, **changed))

@@ -1,0 +1,396 @@
+"""dualbrain adapt: a dry run says what would teach and what not and why; an export can be read by others."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from dualbrain.adaptation.curation.dataset import CARD, read_card, read_dataset
+from dualbrain.adaptation.idle_scheduler import Machine, Pace
+from dualbrain.adaptation.training.process_group import ALONE
+from dualbrain.cli.adapters import adapt as command
+from dualbrain.cli.adapters import adapt_when_idle, process_launcher
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.grounding.vocabulary import vocabulary_at
+from dualbrain.memory.embedding.hashing_encoder import HashingEncoder
+from dualbrain.memory.ledger.events import ADAPTER, AdapterUse
+from dualbrain.memory.ledger.ledger import LedgerReader
+from dualbrain.memory.maintenance.compaction import swap
+from dualbrain.planner.registry import DEFAULT_PLANNER
+from tests.adaptation.sample_episodes import CONFIG, NOW, episode, remember, several, summary
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    failed = episode("bad", "failed", told=summary(number=99))
+    remember(tmp_path, [*several(8), failed]).close()
+    return tmp_path / "ledger.sqlite"
+
+
+def test_a_dry_run_tells_and_changes_nothing(tell, ledger, tmp_path):
+    with LedgerReader(ledger) as opened:
+        head = opened.head()
+    before = {path.name for path in tmp_path.iterdir()}
+    code, out, err = tell("adapt", "--dry-run")
+    assert (code, out) == (Exit.SUCCESS, "")
+    assert "left out: 1 outcome failed" in err
+    assert "of 9 memories" in err
+    assert {path.name for path in tmp_path.iterdir()} == before
+    with LedgerReader(ledger) as opened:
+        assert opened.head() == head
+
+
+def test_ids_of_a_dry_run_are_whole_in_a_narrow_terminal(tell, ledger, monkeypatch):
+    rows = json.loads(tell("adapt", "--dry-run", "--json")[1])["samples"]
+    monkeypatch.setenv("COLUMNS", "24")
+    lines = tell("adapt", "--dry-run")[2].splitlines()
+    for row in rows:
+        (line,) = (line for line in lines if line.startswith(row["id"][:8]))
+        assert line.split()[1:3] == [row["part"], row["memory"]]
+        assert f"{row['repeats']}×" in line
+
+
+def test_a_dry_run_that_should_write_is_refused(tell, ledger, tmp_path):
+    code, out, err = tell("adapt", "--dry-run", "--export", "set")
+    assert (code, out) == (Exit.USAGE, "")
+    assert "a dry run writes nothing" in err
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_site_file_lets_in_what_was_done_there(tell, tmp_path):
+    site = tmp_path / "lab.toml"
+    site.write_text("[robot]\ntool_speed = 0.25\n")
+    there = vocabulary_at("panda", site)
+    remember(tmp_path, [*several(2), episode("there", registry=there.hash, told=summary(number=9))]).close()
+    for words, left in (((), {"of another registry": ["there"]}), (("--site", "lab.toml"), {})):
+        code, out, _ = tell("adapt", "--dry-run", "--json", *words)
+        assert (code, json.loads(out)["left_out"]) == (Exit.SUCCESS, left)
+    assert "--site lab.toml" in " ".join(adapt_when_idle.command("panda", "b", None, site.relative_to(tmp_path), None,
+                                                           tmp_path, json=False))  # fmt: skip
+
+
+def test_json_names_every_memory_once(tell, ledger):
+    code, out, _ = tell("adapt", "--dry-run", "--json")
+    told = json.loads(out)
+    names = [row["memory"] for row in told["samples"]] + [name for all_ in told["left_out"].values() for name in all_]
+    assert code == Exit.SUCCESS
+    assert sorted(names) == sorted([*(f"e{i}" for i in range(8)), "bad"])
+    assert {row["part"] for row in told["samples"]} == {"train", "held_out"}
+
+
+def test_an_export_is_lines_of_prompt_and_completion(tell, ledger, tmp_path):
+    assert tell("adapt", "--export", "set")[0] == Exit.SUCCESS
+    lines = (tmp_path / "set" / "train.jsonl").read_text().splitlines()
+    for line in map(json.loads, lines):
+        assert line["prompt"][-1]["role"] == "user"
+        assert [turn["role"] for turn in line["completion"]] == ["assistant"]
+        json.loads(line["completion"][0]["content"])
+    assert len(read_dataset(tmp_path / "set").train) == len(lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--ledger", "none.sqlite"), "none.sqlite"),
+        (("--config", "none.toml"), "none.toml"),
+        (("--robot", "nobody"), "nobody"),
+        (("--robot", "ur5e"), "of another robot"),
+    ],
+)
+def test_a_broken_set_up_is_told(tell, ledger, arguments, word):
+    code, out, err = tell("adapt", "--dry-run", *arguments)
+    assert (code, out) == (Exit.SETUP, "")
+    assert word in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("words", [("--dry-run",), ("--export", "set"), ("--out", "fit"), (), ("--when-idle",)])
+@pytest.mark.parametrize("base", ["nope", "minilm-l6-v2-int8"])
+def test_a_base_that_there_is_not_is_told_before_anything_is_written(tell, ledger, tmp_path, words, base):
+    before = contents(tmp_path)
+    code, out, err = tell("adapt", "--base", base, *words)
+    assert (code, out) == (Exit.SETUP, "")
+    assert f"'{base}' is not a base" in err
+    assert contents(tmp_path) == before
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("words", [(), ("--out", "a fit [of] mine")])
+def test_the_folder_is_told_at_the_start_and_when_it_is_interrupted(tell, ledger, tmp_path, monkeypatch, words):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "adapt_with_torch", interrupted)
+    code, _, err = tell("adapt", *words)
+    (data,) = tmp_path.rglob(CARD)
+    folder = data.parent.parent.relative_to(tmp_path)
+    assert code == Exit.INTERRUPTED
+    assert f"all is kept in {folder}\n" in err
+    assert f"the same command with --out {shlex.quote(str(folder))} goes on\n" in err
+
+
+@pytest.mark.parametrize("ledger_named", [False, True])
+@pytest.mark.parametrize("serves", [False, True])
+def test_a_new_adapter_is_told_with_what_leads_to_its_service(
+    tell, ledger, tmp_path, monkeypatch, ledger_named, serves
+):
+    def champion(place):
+        return "b" * 64 if serves else ""
+
+    registry = SimpleNamespace(add=lambda folder, now: None, champion=champion, verify=dict)
+    monkeypatch.setattr("dualbrain.cli.adapters.registry.registry_of_adapters", lambda: registry)
+    monkeypatch.setattr(command, "_note", lambda *told: True)
+    facts = {"id": "a" * 64, "robot": "panda", "base": "base-135m", "base_sha256": "c" * 64}
+    night = SimpleNamespace(adapt=lambda *told, **more: SimpleNamespace(**facts))
+    monkeypatch.setattr(command, "adapt_with_torch", lambda: night)
+    monkeypatch.setattr("dualbrain.adaptation.adapters.base_models.find_base", lambda name, cache: name)
+    of, one = " --ledger ledger.sqlite" if ledger_named else "", "a" * 16
+    code, _, err = tell("adapt", "--out", "fit", *of.split())
+    assert code == Exit.SUCCESS
+    assert err.splitlines()[-3:] == [
+        f"  dualbrain adapters measure {one} --data fit/dataset --out fit/measured.json{of}",
+        f'  dualbrain run "…" --robot panda --planner shadow:{one}{"" if serves else f"@{DEFAULT_PLANNER}"}',
+        f"  dualbrain adapters promote {one} --measured fit/measured.json",
+    ]
+
+
+def test_without_the_extra_it_says_what_to_install(tell, ledger, monkeypatch, tmp_path):
+    """Whatever other tests have imported before."""
+    for name in [name for name in sys.modules if name.startswith("dualbrain.adaptation.training.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr("dualbrain.adaptation.training.train", raising=False)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    code, out, err = tell("adapt", "--out", "fit")
+    assert (code, out) == (Exit.SETUP, "")
+    assert "torch, of the extra `adapt`, is missing" in err
+    assert "dualbrain[adapt]" in err
+    assert len(read_dataset(tmp_path / "fit" / "dataset").train)
+
+
+def test_a_fit_is_not_taken_up_with_another_vocabulary(tell, ledger, tmp_path):
+    tell("adapt", "--export", "fit/dataset")
+    card = msgspec.structs.replace(read_card(tmp_path / "fit" / "dataset"), registry="00000000")
+    (tmp_path / "fit" / "dataset" / CARD).write_bytes(msgspec.json.encode(card))
+    code, _, err = tell("adapt", "--out", "fit")
+    assert code == Exit.SETUP
+    assert "The vocabulary has changed" in err
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def no_torch(monkeypatch):
+    """A fit that is let in ends where it would begin."""
+
+    def refuse():
+        raise MissingPart("torch", fix="")
+
+    monkeypatch.setattr(command, "adapt_with_torch", refuse)
+
+
+@pytest.mark.parametrize(
+    ("dials", "words"),
+    [
+        ("[curation.rules]\nepsilon = 0.002", "epsilon 0.003, now 0.002"),
+        ("[curation.rules]\nslowest = 2.0", "slowest 1.5, now 2.0"),
+        ("[curation.rules]\nphysical = false", "physical True, now False"),
+        ("[curation]\nmost_repeats = 2", "most_repeats 4, now 2"),
+        ("[curation]\nheld_out = 0.5", "held_out 0.2, now 0.5"),
+        ('[curation]\nsalt = "x"', "salt dualbrain, now x"),
+    ],
+)
+def test_other_dials_of_curation_are_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path, dials, words):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    (tmp_path / "dials.toml").write_text(dials)
+    code, _, err = tell("adapt", "--out", "fit", "--config", "dials.toml")
+    assert code == Exit.SETUP
+    assert words in err
+    assert "another --out" in err
+    assert contents(tmp_path / "fit") == before
+
+
+def test_another_ledger_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    (tmp_path / "other").mkdir()
+    remember(tmp_path / "other", several(12)).close()
+    code, _, err = tell("adapt", "--out", "fit", "--ledger", "other/ledger.sqlite")
+    assert code == Exit.SETUP
+    assert "ledger of the data set in fit: got 'other/ledger.sqlite'" in err
+    assert "another --out" in err
+    assert contents(tmp_path / "fit") == before
+
+
+def test_another_site_is_refused_where_a_data_set_lies(tell, ledger, no_torch, tmp_path):
+    (tmp_path / "lab.toml").write_text("[robot]\ntool_speed = 0.25\n")
+    tell("adapt", "--out", "here")
+    tell("adapt", "--out", "there", "--site", "lab.toml")
+    there = ("--site", "lab.toml")
+    for folder, same, other in (("here", (), there), ("there", there, ())):
+        assert f"going on with the data set in {folder}" in tell("adapt", "--out", folder, *same)[2]
+        before = contents(tmp_path / folder)
+        code, _, err = tell("adapt", "--out", folder, *other)
+        assert code == Exit.SETUP
+        assert f"site of the data set in {folder}" in err
+        assert "another --out" in err
+        assert contents(tmp_path / folder) == before
+
+
+def test_a_ledger_that_has_grown_or_was_compacted_is_the_same(tell, ledger, no_torch, tmp_path):
+    tell("adapt", "--out", "fit")
+    before = contents(tmp_path / "fit")
+    remember(tmp_path, [episode("later", told=summary(number=55))]).close()
+    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    for _ in range(2):
+        swap(ledger, holder="a test", now=NOW, patience=1.0)
+        assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+    for archive in tmp_path.glob("*.archive-*"):
+        archive.unlink()
+    assert "ledger of the data set in fit" in tell("adapt", "--out", "fit")[2]
+    assert contents(tmp_path / "fit") == before
+
+
+def test_a_data_set_whose_card_is_older_is_gone_on_with(tell, ledger, no_torch, tmp_path):
+    """It does not tell whether anything was selected by what came of it."""
+    tell("adapt", "--out", "fit")
+    path = tmp_path / "fit" / "dataset" / CARD
+    card = json.loads(path.read_text())
+    del card["physical"]
+    path.write_text(json.dumps(card))
+    assert "going on with the data set in fit" in tell("adapt", "--out", "fit")[2]
+
+
+def test_what_an_adapter_was_taught_is_written_into_the_ledger(tell, ledger, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.encoder", lambda: HashingEncoder(32))
+    monkeypatch.setattr("dualbrain.cli.memory.open_memory.config", lambda opened: CONFIG)
+    tell("adapt", "--export", "set")
+    dataset = read_dataset(tmp_path / "set")
+    card = SimpleNamespace(id="a" * 64, dataset=dataset.card.hash)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)
+    assert command._note(card, dataset, tmp_path / "fit", ledger)  # once is enough
+    with LedgerReader(ledger) as opened:
+        (event,) = opened.events(f"kind = '{ADAPTER}'")
+    noted = msgspec.json.decode(event.payload, type=AdapterUse)
+    assert noted == AdapterUse("a" * 64, dataset.card.hash, tuple(sorted(row.memory for row in dataset.train)))
+    assert not command._note(card, dataset, tmp_path / "fit", tmp_path / "none.sqlite")
+    assert "not written into the ledger" in capsys.readouterr().err
+
+
+def test_when_idle_it_is_the_same_command_in_a_process_of_its_own(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    told = {"robot": "panda", "base": "smollm2-135m-instruct", "site": None, "config": None, "json": False}
+    code = adapt_when_idle.adapt_when_idle(
+        ledger=tmp_path / "none.sqlite", out=tmp_path / "out", pace=Pace(look=0.05, calm=0.0), **told
+    )
+    assert code == Exit.SETUP
+    assert "none.sqlite" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("end", "words"), [("os.kill(os.getpid(), 9)", "signal 9 (Killed)"), ("sys.exit(1)", ""), ("sys.exit(0)", "")]
+)
+def test_when_idle_a_fit_that_was_killed_from_outside_says_so_and_how_to_go_on(
+    tmp_path, monkeypatch, capfd, end, words
+):
+    monkeypatch.setattr(adapt_when_idle, "look", lambda: Machine(0.0, 2, on_battery=False))
+    work = [sys.executable, "-S", "-c", f"import os, sys; {end}"]
+    monkeypatch.setattr(adapt_when_idle, "command", lambda *told, **more: work)
+    told = {"robot": "panda", "base": "tiny", "ledger": tmp_path / "l", "site": None, "config": None, "json": False}
+    code = adapt_when_idle.adapt_when_idle(out=Path("runs/night"), pace=Pace(look=0.05, calm=0.0), **told)
+    err = " ".join(capfd.readouterr().err.split())
+    assert (code == Exit.SETUP) is bool(words)
+    assert (words in err, "with --out runs/night goes on from the last checkpoint" in err) == (True, bool(words))
+
+
+WATCHER = """
+import sys
+from pathlib import Path
+from dualbrain.cli import when_idle
+from dualbrain.adaptation.idle_scheduler import Machine
+from dualbrain.adaptation.idle_scheduler import Pace
+
+folder = Path(sys.argv[1])
+work = "import os, sys, time\\nopen(sys.argv[1] + '/pid', 'w').write(str(os.getpid()))\\ntime.sleep(600)"
+when_idle.command = lambda *told, **more: [sys.executable, "-S", "-c", work, str(folder)]
+when_idle.look = lambda: Machine(0.0, 2, on_battery=(folder / "unplugged").exists())
+told = {"robot": "panda", "base": "tiny", "ledger": folder / "l", "site": None, "config": None}
+told |= {"out": folder, "json": False}
+try:
+    when_idle.adapt_when_idle(**told, pace=Pace(look=0.05, calm=0.0))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+"""`adapt --when-idle` with a fit that only sleeps; halted as soon as there is a file called unplugged."""
+
+
+def state(process):
+    """The letter that Linux has for what a process does, "" if there is none; what only waits to be buried is none."""
+    try:
+        letter = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return ""
+    return letter.replace("Z", "").replace("X", "")
+
+
+def in_time(holds):
+    """Wait until it holds; what does not hold in half a minute never does."""
+    until = time.monotonic() + 30.0
+    while not holds() and time.monotonic() < until:
+        time.sleep(0.02)
+    return holds()
+
+
+@pytest.mark.parametrize("halted", [False, True])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_however_it_is_ended_no_fit_goes_on_beside_the_robot(tmp_path, end, halted):
+    watcher, fit = subprocess.Popen([sys.executable, "-c", WATCHER, str(tmp_path)], start_new_session=True), 0
+    try:
+        assert in_time(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+        fit = int((tmp_path / "pid").read_text())
+        if halted:
+            (tmp_path / "unplugged").touch()
+            assert in_time(lambda: state(fit) == "T")
+        watcher.send_signal(end)
+        assert watcher.wait(30.0) == (-end if end == signal.SIGKILL else Exit.INTERRUPTED)
+        assert in_time(lambda: not state(fit))
+    finally:
+        watcher.kill()
+        watcher.wait()
+        if state(fit):
+            os.kill(fit, signal.SIGKILL)
+
+
+def test_several_processes_need_one_folder_and_only_fit(tell, ledger, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    for arguments in (("--out", "fit", "--dry-run"), ("--export", "set"), ("--out", "fit", "--when-idle")):
+        code, out, err = tell("adapt", *arguments)
+        assert (code, out) == (Exit.SETUP, "")
+        assert "adapt in several processes" in err
+    for arguments in (("adapt",), ("adapters", "make", "base-135m")):
+        code, out, err = tell(*arguments)
+        assert (code, out) == (Exit.SETUP, "")
+        assert "--out of a fit in several processes: got 'none'" in err
+
+
+def test_one_process_is_no_team_and_only_the_first_of_several_speaks(capsys):
+    assert not process_launcher.launched({})
+    assert not process_launcher.launched({"WORLD_SIZE": "1"})
+    assert process_launcher.launched({"WORLD_SIZE": "2"})
+    for size in ("", "two", "-2"):
+        with pytest.raises(InvalidSetup, match="unset WORLD_SIZE"):
+            process_launcher.launched({"WORLD_SIZE": size})
+    process_launcher.account_of(ALONE).print("heard")
+    process_launcher.account_of(SimpleNamespace(rank=1)).print("not heard")
+    assert capsys.readouterr().err == "heard\n"

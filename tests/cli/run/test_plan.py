@@ -1,0 +1,153 @@
+"""dualbrain plan: the prompt, what was retrieved, the contract, the verdict; nothing moves, memory is only read."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from dualbrain.adaptation.serving import open_planner
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.planner.prompt.full_prompt import template_hash
+from dualbrain.planner.prompt.prompt_format import short_messages
+from dualbrain.planner.prompt.short_prompt import short_template_hash
+from dualbrain.planner.scripted import ScriptedPlanner
+from tests.stories.story_session import GRASP, PLACE, contract, decline, pause, play, settings
+
+PICK = contract(("grasp", GRASP), ("place", PLACE))
+FAST = contract(("grasp", {**GRASP, "speed": 30.0}), ("place", PLACE))
+WORDS = "how hard may I grip the red cube when I put it in the bowl"
+
+
+@pytest.fixture
+def script(monkeypatch, tmp_path):
+    """Sets the answers of the planner that the command will open; memory and documents are the test's own."""
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def answering(*texts, **more):
+        planner = ScriptedPlanner(texts, **more)
+        monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: planner)
+        return planner
+
+    return answering
+
+
+def test_an_accepted_plan_shows_prompt_contract_verdict_and_time(tell, script):
+    script(PICK)
+    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off")
+    assert code == Exit.SUCCESS
+    for words in ("[system]", "You plan for the robot arm", WORDS, PICK, "nothing", "accepted: syntax ✓"):
+        assert words in out
+    assert "decided in" in out
+
+
+def test_a_refusal_stands_in_the_second_prompt_and_the_last_verdict_counts(tell, script):
+    planner = script(FAST, PICK)
+    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--json")
+    told = json.loads(out)
+    assert (code, told["accepted"], told["declined"]) == (Exit.SUCCESS, True, False)
+    assert [shot["verdict"].get("stage") for shot in told["shots"]] == ["envelope", None]
+    assert "<refusal>" in told["shots"][1]["prompt"][-1]["content"]
+    assert told["contract"]["action_sequence"][0]["params"]["object"] == "red_cube"
+    assert [asked.contract_id for asked in planner.asked] == ["c-0001", "c-0002"]
+    assert {"retrieval", "planner", "gate", "decision"} <= told["timings"].keys()
+
+
+@pytest.mark.parametrize(("answers", "stage"), [((FAST,), "envelope"), (("no JSON",), "syntax"), ((decline(),), None)])
+def test_a_rejection_and_a_decline_exit_3(tell, script, answers, stage):
+    planner = script(*answers)
+    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "1", "--json")
+    told = json.loads(out)
+    assert code == Exit.REJECTED
+    assert told["verdict"].get("stage") == stage
+    assert told["declined"] == (stage is None)
+    assert len(planner.asked) == 1
+
+
+def test_a_planner_that_does_not_answer_is_asked_once_and_refused_nothing(tell, script):
+    planner = script("", finish_reason="error: ConnectionRefusedError")
+    code, out, _ = tell("plan", WORDS, "--scene", "bare:0", "--knowledge", "off", "--shots", "5")
+    assert (code, len(planner.asked)) == (Exit.FAILED_SAFELY, 1)
+    assert "error: ConnectionRefusedError" in out
+
+
+def test_memories_and_passages_are_shown_with_their_scores_and_citations(tell, script, tmp_path):
+    config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
+    play(config, pause())
+    before = config.ledger.read_bytes()
+    planner = script(PICK)
+    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
+    code, out, _ = tell(*arguments, "--json")
+    told = json.loads(out)["retrieved"]
+    assert code == Exit.SUCCESS
+    assert told["passages"]
+    assert all("@" in one["citation"] for one in told["passages"])
+    found = [*told["exemplars"], *told["warnings"]]
+    assert found
+    assert len(planner.asked[0].recall.passages) == len(told["passages"])
+    code, out, _ = tell(*arguments)
+    assert told["passages"][0]["citation"] in out
+    for one in found:
+        assert one["episode_id"] in out
+    assert config.ledger.read_bytes() == before
+
+
+class Short(ScriptedPlanner):
+    """Reads what an adapted planner reads."""
+
+    template, messages = short_template_hash(), staticmethod(short_messages)
+
+
+def test_what_an_adapted_planner_does_not_read_is_marked_and_said_once(tell, script, tmp_path, monkeypatch):
+    config = settings(tmp_path, ledger=tmp_path / "ledger.sqlite")
+    play(replace(config, instruction=WORDS), pause())
+    script()
+    monkeypatch.setattr(open_planner, "open_planner", lambda *_, **__: Short([FAST, PICK]))
+    arguments = ("plan", WORDS, "--scene", "bare:0", "--ledger", str(config.ledger))
+    _, out, err = tell(*arguments)
+    assert err.count("documents are not shown to scripted") == 1
+    assert "what was found, not shown to this planner" in out
+    assert "what was shown" not in out
+    _, out, _ = tell(*arguments, "--json")
+    told = json.loads(out)
+    assert told["template"] == short_template_hash()
+    found = {name for name in ("warnings", "passages") if told["retrieved"][name]}
+    assert "passages" in found
+    assert set(told["unread"]) == found
+    prompts = json.dumps([shot["prompt"] for shot in told["shots"]])
+    assert not any(one["citation"] in prompts for one in told["retrieved"]["passages"])
+    assert "documents are not shown" not in tell(*arguments, "--knowledge", "off")[2]
+
+
+def test_a_planner_with_the_full_prompt_reads_all_that_was_found(tell, script):
+    script(PICK)
+    _, out, err = tell("plan", WORDS, "--scene", "bare:0", "--json")
+    told = json.loads(out)
+    assert (told["unread"], told["template"]) == ([], template_hash())
+    assert told["retrieved"]["passages"]
+    assert "not shown" not in err
+
+
+@pytest.mark.parametrize(("knowledge", "kept"), [("off", set()), ("on", {"knowledge.sqlite"})])
+def test_at_home_it_writes_the_shipped_documents_and_nothing_else(tell, script, tmp_path, knowledge, kept):
+    script(FAST, PICK)
+    for _ in range(2):
+        tell("plan", WORDS, "--scene", "bare:0", "--knowledge", knowledge)
+        home = tmp_path / "home"
+        assert {path.name for path in (home.iterdir() if home.exists() else ())} == kept
+
+
+def test_an_unknown_ledger_and_an_empty_instruction_are_told(tell, script, tmp_path):
+    script(PICK)
+    assert tell("plan", "  ")[0] == Exit.USAGE
+    assert tell("plan", WORDS, "--shots", "0")[0] == Exit.USAGE
+    code, _, err = tell("plan", WORDS, "--ledger", str(tmp_path / "none.sqlite"), "--knowledge", "off")
+    assert code == Exit.SETUP
+    assert "none.sqlite" in err
+
+
+def test_help_teaches(tell):
+    code, out, _ = tell("plan", "--help")
+    assert code == Exit.SUCCESS
+    for words in ("memory is only read", "shipped documents", "citations", "--contract c.json", "Exits 0"):
+        assert words in " ".join(out.replace("│", " ").split())

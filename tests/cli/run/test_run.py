@@ -1,0 +1,138 @@
+"""What `dualbrain run` prints, writes and returns."""
+
+import json
+
+import msgspec
+import pytest
+
+from dualbrain.cli.common.exit_codes import Exit
+from dualbrain.cli.run.execution import exit_code, succeeded, summary
+from dualbrain.cli.run.run import run
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.errors import WrongUsage
+from dualbrain.planner.prompt.short_prompt import short_template_hash
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.records import Attempt, Episode, Judgement, Outcome, Proposal, Recall, Scene, Violation
+from dualbrain.runtime import session
+from dualbrain.runtime.session import FILES
+from dualbrain.simulation.scenes.scene_spec import load_scene
+from tests.stories.story_session import ledger_episodes, pause
+
+KEYS = {
+    "success", "violations", "contract", "verdict", "delta", "intervention_frequency", "h_min", "timings", "out",
+}  # fmt: skip
+
+
+def test_json_is_exactly_one_object_with_the_promised_keys(finished):
+    _, _, out, _ = finished
+    told = json.loads(out)  # one object, and nothing beside it
+    assert out.count("\n") == 1
+    assert told.keys() >= KEYS
+    assert told["verdict"]["verdict"] == "accepted"
+    assert told["contract"]["action_sequence"][0]["skill"] == "grasp"
+    assert told["timings"].keys() >= {"gate", "motion", "planner"}
+
+
+def test_json_agrees_with_the_episode_on_disk(finished):
+    folder, _, out, _ = finished
+    told = json.loads(out)
+    episode = msgspec.json.decode((folder / "run" / "episode.json").read_bytes(), type=Episode)
+    assert told["success"] == succeeded(episode)
+    assert told["delta"] == episode.outcome.Delta
+    assert told["h_min"] == episode.outcome.h_min
+    assert told["violations"] == json.loads(msgspec.json.encode(episode.judgement.violations))
+    assert told["out"] == "run"
+
+
+def test_the_pick_succeeds_by_robot_and_by_truth(finished):
+    _, code, out, err = finished
+    assert json.loads(out)["success"], err
+    assert json.loads(out)["violations"] == []
+    assert code == Exit.SUCCESS
+
+
+def test_the_account_is_on_stderr(finished):
+    _, _, out, err = finished
+    for words in (
+        "shot 1: accepted, syntax ✓ authorization ✓ envelope ✓: grasp → place",
+        "grasp: lift",
+        "intervened on",
+        "weights:",
+        "report:",
+    ):
+        assert words in err
+        assert words not in out
+
+
+def test_the_run_folder_holds_everything(finished):
+    folder, *_ = finished
+    run = folder / "run"
+    assert {path.name for path in run.iterdir()} == set(FILES)
+    assert json.loads((run / "config.json").read_bytes())["scene"] == "bare:0"
+    assert load_scene(run / "scene.json").family == "bare"
+    assert "data:image/" in (run / "report.html").read_text()
+
+
+def test_the_ledger_remembers_the_run_and_not_the_truth(finished):
+    folder, *_ = finished
+    (remembered,) = ledger_episodes(folder / "ledger.sqlite")
+    assert remembered["episode"]["outcome"]["kind"] == "succeeded"
+    assert "judgement" not in remembered["episode"]
+
+
+def test_documents_that_a_planner_cannot_read_are_told_once(tell, monkeypatch):
+    class Short(ScriptedPlanner):
+        template = short_template_hash()
+
+    for kind, times in ((Short, 1), (ScriptedPlanner, 0)):
+        monkeypatch.setattr(session, "open_planner", lambda *_, kind=kind, **__: kind([pause()]))
+        _, _, err = tell("run", "rest", "--scene", "bare:0", "--headless", "--knowledge", "on", "--out", kind.__name__)
+        assert err.count("documents are not shown to scripted") == times
+
+
+# --- exit codes ---------------------------------------------------------------------------------------------------
+
+
+def episode(kind, *, truth=True, violations=(), judged=True):
+    judgement = Judgement(truth, float(truth), violations) if judged else None
+    refused = Attempt(Proposal("", "stop", "t", "t", {}), Rejected("syntax", "", 0, 0, "hint"), 0.0)
+    return Episode(
+        "e", "", "", "panda", "", 0, Scene("panda", 0.0, 1, ()), "", Recall(), (refused,), None, Outcome(kind, ""),
+        judgement, {}, {},
+    )  # fmt: skip
+
+
+BREACH = (Violation("collision_env", 0.0, 0.1, 5.0, ("hand", "can")),)
+
+
+@pytest.mark.parametrize(
+    ("kind", "facts", "code"),
+    [
+        ("succeeded", {}, Exit.SUCCESS),
+        ("succeeded", {"truth": False}, Exit.FAILED_SAFELY),
+        ("succeeded", {"judged": False}, Exit.SUCCESS),
+        ("succeeded", {"violations": BREACH}, Exit.VIOLATION),
+        ("failed", {}, Exit.FAILED_SAFELY),
+        ("failed", {"violations": BREACH}, Exit.VIOLATION),
+        ("taken_over", {"truth": False}, Exit.FAILED_SAFELY),
+        ("stopped", {"truth": False}, Exit.FAILED_SAFELY),
+        ("rejected", {"truth": False}, Exit.REJECTED),
+        ("declined", {"truth": False}, Exit.REJECTED),
+        ("aborted", {"truth": False}, Exit.INTERRUPTED),
+        ("aborted", {"truth": False, "violations": BREACH}, Exit.INTERRUPTED),
+    ],
+)
+def test_exit_codes(kind, facts, code):
+    one = episode(kind, **facts)
+    assert exit_code(one) == code
+    assert json.loads(msgspec.json.encode(summary(one, "out"))).keys() >= KEYS
+
+
+def test_the_codes_are_the_published_ones():
+    assert [int(code) for code in Exit] == [0, 1, 2, 3, 4, 5, 130]
+
+
+@pytest.mark.parametrize("epsilon", [-1.0, float("nan"), float("inf")])
+def test_an_epsilon_that_is_none_is_refused_before_anything_opens(epsilon):
+    with pytest.raises(WrongUsage, match="--epsilon"):
+        run("put the red cube in the bowl", epsilon=epsilon)

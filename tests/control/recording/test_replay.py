@@ -1,0 +1,111 @@
+"""Replay: the same inputs give the same controls, bit for bit; one changed bit does not go unnoticed."""
+
+import struct
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.control.recording import replay as replay_module
+from dualbrain.control.recording.channels import FilterCall, Ticks, read_recording
+from dualbrain.control.recording.replay import replay
+from dualbrain.errors import InvalidSetup
+from tests.stories.story_session import contract, play, settings
+from tests.support.run_once import once
+
+
+def _unguarded(folder):
+    move = {"target": "blue_bowl", "speed": 0.3, "clearance": 0.12, "route": "direct", "wait": "none"}
+    story = play(settings(folder, guard=False, scene="tabletop:1"), contract(("move_to", move)))
+    return (story.episode.outcome.kind,)
+
+
+@pytest.fixture(scope="module")
+def recordings(finished, tmp_path_factory):
+    folder, kind = once(tmp_path_factory, "unguarded", _unguarded)
+    assert kind in ("succeeded", "failed", "taken_over")
+    return {"on": finished[0] / "run" / "episode.mcap", "off": folder / "run" / "episode.mcap"}
+
+
+@pytest.mark.parametrize("guard", ["on", "off"])
+def test_a_recorded_run_is_reached_again_bit_for_bit(recordings, guard):
+    result = replay(recordings[guard])
+    assert result.identical
+    assert result.complete
+    assert result.ticks > 1000
+    assert result.worst == {}
+
+
+def flipped(value, bit):
+    (bits,) = struct.unpack("<Q", struct.pack("<d", value))
+    (other,) = struct.unpack("<d", struct.pack("<Q", bits ^ (1 << bit)))
+    return other
+
+
+def head(path, ticks=2000):
+    """The messages up to `ticks` ticks."""
+    messages, count = [], 0
+    for message in read_recording(path):
+        messages.append(message)
+        count += len(message.columns["t"]) if isinstance(message, Ticks) else 0
+        if count >= ticks:
+            break
+    return messages
+
+
+def replayed(monkeypatch, path, messages):
+    monkeypatch.setattr(replay_module, "read_recording", lambda _: iter(messages))
+    return replay(path)
+
+
+@pytest.mark.parametrize(("column", "bit"), [("u_nom", 29), ("u_nom", 51), ("q", 35)])
+def test_one_flipped_bit_of_an_input_is_found(recordings, monkeypatch, column, bit):
+    """Bit 29 is the lowest that a float32 keeps of a float64."""
+    messages = head(recordings["on"])
+    where, batch = next(
+        (i, m) for i, m in enumerate(messages) if isinstance(m, Ticks) and m.columns["t"][0] > 0.5
+    )  # fmt: skip
+    values = [list(value) if isinstance(value, list) else value for value in batch.columns[column]]
+    elbow = values[7][3]  # what is nearest hangs on it: the hand comes toward the arm's own links
+    values[7] = [*values[7][:3], flipped(elbow, bit), *values[7][4:]]
+    messages[where] = msgspec.structs.replace(batch, columns={**batch.columns, column: values})
+    result = replayed(monkeypatch, recordings["on"], messages)
+    assert not result.identical
+    before = sum(len(m.columns["t"]) for m in messages[:where] if isinstance(m, Ticks))
+    assert result.first == before + 7
+    assert result.worst
+
+
+def test_a_changed_scene_is_found(recordings, monkeypatch):
+    messages = head(recordings["on"])
+    for index, message in enumerate(messages):
+        if isinstance(message, FilterCall) and message.name == "observe":
+            things = msgspec.to_builtins(message.arguments["obstacles"])
+            for thing in things:
+                thing["margin"] += 0.1
+            messages[index] = FilterCall(message.t, "observe", {**message.arguments, "obstacles": things})
+    assert not replayed(monkeypatch, recordings["on"], messages).identical
+
+
+def test_a_changed_byte_of_the_file_is_refused_or_found(recordings, tmp_path):
+    data = recordings["off"].read_bytes()
+    path = tmp_path / "changed.mcap"
+    refused = 0
+    for place in np.random.default_rng(3).integers(8, len(data), 25):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :])
+        try:
+            messages = sum(1 for _ in read_recording(path))
+            assert messages > 0
+        except InvalidSetup as error:
+            refused += 1
+            assert str(path) in str(error)  # noqa: PT017
+    assert refused > 15
+
+
+def test_a_file_cut_short_is_replayed_as_far_as_it_goes(recordings, tmp_path):
+    data = recordings["off"].read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    result = replay(path)
+    assert result.identical
+    assert not result.complete

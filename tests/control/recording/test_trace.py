@@ -1,0 +1,104 @@
+"""The trace: what goes in comes out, whatever the length; Δ by its definition."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.trace import BLOCK, Trace, columns, spans
+from dualbrain.errors import UnknownName
+from dualbrain.robots.interface import RobotState
+from tests.control.recording.sample_ticks import Answer, fill
+
+ZEROS = np.zeros(2)
+
+
+def _of(deltas: list[float], h: list[float], actions: list[int]) -> Trace:
+    trace = Trace(2)
+    for k, (delta, h_min, action) in enumerate(zip(deltas, h, actions, strict=True)):
+        state = RobotState(k * 1e-3, k, ZEROS, ZEROS, 0.0, (0.0, 0.0))
+        trace.append(k * 1e-3, state, ZEROS, Answer(ZEROS, delta=delta, h_min=h_min), action=action, phase="x")
+    return trace
+
+
+def test_columns_tile_the_row() -> None:
+    covered = [k for where in columns(7).values() for k in range(where.start, where.stop)]
+    assert covered == list(range(len(covered)))
+
+
+def test_rows_survive_growth_and_stay_where_they_are() -> None:
+    trace = Trace(7)
+    handed_out = fill(trace, 2 * BLOCK + 5)
+    assert len(trace) == 2 * BLOCK + 5
+    assert np.array_equal(np.stack(handed_out), trace.rows)
+    assert np.array_equal(trace["sequence"], np.arange(len(trace)))
+    assert trace["q"].shape == trace["u"].shape == (len(trace), 7)
+    assert np.array_equal(trace["v"], -trace["q"])
+    assert np.array_equal(trace["u"].astype(np.float32), trace["u_nom"].astype(np.float32))
+    assert trace["forces"][:, 1].tolist() == [1.0] * len(trace)
+    assert np.all(trace["drive"] == 1)
+    assert np.all(trace["n_rows"] == 90)
+
+
+def test_extend_continues_a_trace() -> None:
+    whole, parts = Trace(7), Trace(7)
+    fill(whole, 300)
+    parts.extend(whole.rows[:100])
+    parts.extend(whole.rows[100:])
+    assert np.array_equal(parts.rows, whole.rows)
+    fill(parts, 2)
+    assert len(parts) == 302
+
+
+TICKS = st.lists(st.tuples(st.floats(0, 2), st.floats(-0.1, 1.0), st.integers(0, 3)), min_size=1, max_size=60)
+
+
+@given(TICKS)
+def test_summary_is_the_definition(ticks: list[tuple[float, float, int]]) -> None:
+    trace = _of(*map(list, zip(*ticks, strict=True)))
+    whole = trace.summary(dead_band=0.5)
+    deltas = [delta for delta, _, _ in ticks]
+    assert whole.Delta == pytest.approx(sum(deltas) / len(deltas))
+    assert whole.delta_peak == max(deltas)
+    assert whole.h_min == min(h for _, h, _ in ticks)
+    assert whole.intervention_frequency == pytest.approx(sum(delta > 0.5 for delta in deltas) / len(deltas))
+    parts = [trace.summary(action) for action in range(4)]
+    assert sum(part.ticks for part in parts) == len(ticks)
+    assert sum(part.Delta_sum for part in parts) == pytest.approx(whole.Delta_sum)
+
+
+def test_nothing_happened() -> None:
+    summary = Trace(7).summary()
+    assert (summary.ticks, summary.Delta, summary.h_min) == (0, None, None)
+    assert Trace(7).interventions() == []
+
+
+def test_what_was_not_computed_was_not_safe() -> None:
+    summary = _of([np.nan, 0.0], [0.1, np.nan], [0, 0]).summary()
+    assert summary.Delta == 1.0
+    assert summary.h_min == -np.inf
+
+
+@given(st.lists(st.integers(0, 2), max_size=40))
+def test_spans_cover_every_tick_once(codes: list[int]) -> None:
+    found = spans(np.array(codes, float), np.arange(len(codes)) * 0.1)
+    assert [code for span in found for code in [span.code] * (span.last - span.first + 1)] == codes
+    assert all(a.end == b.start and a.code != b.code for a, b in pairwise(found))
+
+
+def test_the_outcome_of_a_contract_counts_such_ticks_alike() -> None:
+    outcome = FlightLog(_of([np.nan, 0.0], [np.nan, np.nan], [0, 0])).outcome("failed", "", 0, ())
+    assert (outcome.Delta, outcome.delta_peak, outcome.intervention_frequency, outcome.h_min) == (1.0, 2.0, 0.5, None)
+
+
+def test_interventions_lie_above_the_dead_band() -> None:
+    trace = _of([0.0, 5e-5, 0.2, 0.3, 0.0, 0.4], [0.1] * 6, [0] * 6)
+    assert [(span.first, span.last) for span in trace.interventions()] == [(2, 3), (5, 5)]
+
+
+def test_an_unknown_column_names_the_known_ones() -> None:
+    with pytest.raises(UnknownName, match="u_nom"):
+        Trace(2)["u_nomm"]

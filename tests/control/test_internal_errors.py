@@ -1,0 +1,151 @@
+"""What raises inside the loop: the drive goes off, the outcome says what it was, and the other records are written."""
+
+import json
+from dataclasses import replace
+from threading import Timer
+
+import msgspec
+import pytest
+
+from dualbrain.contracts.contract import Action, Context, Contract
+from dualbrain.contracts.gate.authorization import PLANNER
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.verdict import Rejected
+from dualbrain.control import contract_executor
+from dualbrain.control.contract_executor import LocalLayer
+from dualbrain.control.control_loop import LayerConfig
+from dualbrain.control.recording import recorder as recorder_module
+from dualbrain.control.recording.channels import recording_state
+from dualbrain.control.recording.flight_log import FlightLog
+from dualbrain.control.recording.recorder import Recorder
+from dualbrain.control.recording.trace import Event, Trace
+from dualbrain.grounding.vocabulary import grants, vocabulary
+from dualbrain.memory.memory import Memory
+from dualbrain.records import Episode
+from dualbrain.robots.interface import at_home
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.grounding.perceived_scenes import bowl, box, scene
+from tests.stories.story_session import pause, play, settings
+
+BODY = load_body("panda")
+GRASP = {
+    "object": "red_cube", "speed": 0.2, "clearance": 0.1, "finger_axis": "along", "opening": 0.08, "approach": "top",
+    "wait": "none", "force": 10.0,
+}  # fmt: skip
+
+
+class World:
+    """A robot that stands still, and a scene that `seen(t)` describes."""
+
+    def __init__(self, seen):
+        self.state, self.seen, self.stopped = at_home(BODY), seen, False
+
+    def read(self):
+        return self.state
+
+    def write(self, command):
+        pass
+
+    def stop(self):
+        self.stopped = True
+
+    def look(self):
+        return msgspec.structs.replace(self.seen(self.state.stamp), stamp=self.state.stamp)
+
+    def advance(self):
+        state = self.state
+        self.state = replace(state, stamp=state.stamp + BODY.period, sequence=state.sequence + 1)
+
+
+def crowd(count):
+    return scene(*(box(f"post_{index}", 0.9, 0.6 - 0.02 * index, role="obstacle") for index in range(count)))
+
+
+def run(seen, *actions, interrupted=lambda: False):
+    world = World(seen)
+    log = FlightLog(Trace(BODY.n))
+    layer = LocalLayer(
+        BODY, world, world, SafetyFilter(BODY), log, LayerConfig(settle=0.1), interrupted=interrupted
+    )  # fmt: skip
+    return world, layer.run(Contract("c-1", Context("panda", ""), actions)), log.trace
+
+
+def test_a_target_that_is_gone_ends_the_contract_stopped():
+    world, outcome, trace = run(lambda t: scene(bowl()), Action("grasp", GRASP), Action("home", {"speed": 0.2}))
+    assert outcome.kind == "stopped"
+    assert outcome.reason.startswith("UnknownName: 'red_cube' is not a scene object")
+    assert [action.status for action in outcome.actions] == ["stopped", "not_run"]
+    assert world.stopped
+    assert any("Traceback" in event.data.get("traceback", "") for event in trace.events)
+
+
+@pytest.mark.parametrize("when", [0.05, 0.45], ids=["in the action", "while it settles"])
+def test_more_obstacles_than_the_kernel_takes_end_the_contract_stopped(when):
+    world, outcome, _ = run(lambda t: crowd(600 if t > when else 3), Action("hold", {"duration": 0.4}))
+    assert outcome.kind == "stopped"
+    assert "obstacles at once" in outcome.reason
+    assert world.stopped
+
+
+def test_a_fault_after_an_interruption_leaves_it_an_interruption():
+    world, outcome, _ = run(
+        lambda t: crowd(600 if t > 0.02 else 3), Action("hold", {"duration": 0.4}), interrupted=lambda: True
+    )
+    assert outcome.kind == "aborted"
+    assert world.stopped
+
+
+def test_an_action_that_never_ends_is_taken_over(monkeypatch):
+    monkeypatch.setattr(contract_executor, "LONGEST", 0.2)
+    world, outcome, _ = run(lambda t: scene(), Action("hold", {"duration": 20.0}))
+    assert (outcome.kind, outcome.reason) == ("taken_over", "hold: not done after 0 s")
+    assert not world.stopped
+
+
+def test_a_rule_that_raises_refuses():
+    def broken(contract):
+        raise ZeroDivisionError("no such thing")
+
+    registry = vocabulary("panda")
+    gate = Gate(registry, grants(registry), (broken,))
+    text = {
+        "id": "c-0001", "context": {"robot": "panda", "registry": registry.hash},
+        "action_sequence": [{"skill": "hold", "params": {"duration": 1.0}}],
+    }  # fmt: skip
+    verdict = gate.check(json.dumps(text).encode(), names=SceneNames((), ()), principal=PLANNER, now=0.0)
+    assert isinstance(verdict, Rejected)
+    assert (verdict.stage, verdict.got) == ("envelope", "ZeroDivisionError: no such thing")
+
+
+def test_what_moved_is_on_record_even_when_memory_cannot_take_it(tmp_path, monkeypatch):
+    def full(self, episode, state, **more):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Memory, "store", full)
+    config = settings(tmp_path)
+    with pytest.raises(OSError, match="no space left"):
+        play(config, pause())
+    episode = msgspec.json.decode((config.out / "episode.json").read_bytes(), type=Episode)
+    assert episode.outcome.kind == "succeeded"
+
+
+def test_a_writer_that_fails_neither_blocks_the_loop_nor_calls_the_recording_whole(tmp_path, monkeypatch):
+    def broken(self, batch):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(recorder_module.Recorder, "_ticks", broken)
+    trace = Trace(7)
+    recorder = Recorder(tmp_path / "episode.mcap", trace, capacity=2, when_full="wait")
+    alarm = Timer(20.0, recorder._queue.queue.clear)  # so that a failure is no hang
+    alarm.daemon = True
+    alarm.start()
+    for k in range(20):
+        recorder._pending = [trace.rows]
+        recorder.event(Event(float(k), "phase", "go"))
+    state = recorder.close()
+    assert alarm.is_alive()
+    alarm.cancel()
+    assert not state.complete
+    assert "MemoryError" in recording_state(tmp_path / "episode.mcap").problem

@@ -1,0 +1,22 @@
+"""What an engine that broke leaves behind is no answer of a model's."""
+
+import pytest
+
+from dualbrain.planner.backends.http_chat import Answer
+from dualbrain.planner.protocol import CRASHED, TIMEOUT
+from dualbrain.planner.scripted import ScriptedPlanner
+from experiments.adaptation import retention, starter
+from experiments.adaptation.no_answer import NoAnswer
+
+
+@pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
+def test_an_accident_ends_the_unit(fault):
+    with pytest.raises(NoAnswer, match=fault):
+        retention.text_of(Answer("", fault, "gone"))
+
+
+@pytest.mark.parametrize("fault", [TIMEOUT, CRASHED])
+def test_nor_is_one_counted_where_planners_are_compared(fault, monkeypatch):
+    monkeypatch.setattr(starter, "planner", lambda name: ScriptedPlanner(["{}"], finish_reason=fault))
+    with pytest.raises(NoAnswer, match=fault):
+        starter.score_of(starter.SMALL, starter.questions()[0])

@@ -1,0 +1,66 @@
+"""The proof of the fuzzed door: what is thrown reaches every stage, all of it is counted, and what raises shows."""
+
+from collections import Counter
+
+import pytest
+
+from dualbrain.contracts.gate.gate import Gate
+from experiments.engine.experiment import Options
+from experiments.gatekeeper import fuzz_socket
+from experiments.gatekeeper.fuzz_socket import FAILED, FRAMES, FuzzSocket
+from experiments.gatekeeper.fuzzer import Fuzzer
+
+
+@pytest.fixture(scope="module")
+def found():
+    return FuzzSocket().run({"seed": 3, "frames": 4000})
+
+
+def test_ten_million_and_every_seed_says_the_same_again(tmp_path):
+    units = FuzzSocket().units(Options(tmp_path, "nobody"))
+    assert sum(unit.about.get("frames", 0) for unit in units) == FRAMES == 10_000_000
+    one, same, other = Fuzzer(1), Fuzzer(1), Fuzzer(2)
+    words = [one.frame(one.word(), k) for k in range(50)]
+    assert words == [same.frame(same.word(), k) for k in range(50)]
+    assert words != [other.frame(other.word(), k) for k in range(50)]
+
+
+def test_frames_and_contracts_reach_every_stage_and_none_is_lost(found):
+    counts = found["counts"]
+    assert sum(counts.values()) == found["frames"]
+    stages = {f"contracts refused: {stage}" for stage in ("syntax", "authorization", "envelope")}
+    wanted = {*stages, "contracts accepted", "messages", "messages refused", "seals refused", "streams broken"}
+    assert wanted <= set(counts)
+    assert FAILED not in counts
+    assert "Raised: **0**" in "\n".join(FuzzSocket().report([found]))
+
+
+def test_a_gate_that_raises_is_counted(monkeypatch):
+    def broken(self, *args, **options):
+        raise KeyError("no such thing")
+
+    monkeypatch.setattr(Gate, "check", broken)
+    counts = Counter(FuzzSocket().run({"seed": 3, "frames": 200})["counts"])
+    assert counts[FAILED] > 10
+    assert not [kind for kind in counts if kind.startswith("contracts")]
+
+
+def test_a_decoder_that_raises_breaks_the_unit(monkeypatch):
+    def broken(frame, *, upward):
+        raise UnicodeDecodeError("utf-8", b"", 0, 1, "bad")
+
+    monkeypatch.setattr(fuzz_socket, "read", broken)
+    with pytest.raises(UnicodeDecodeError):
+        FuzzSocket().run({"seed": 3, "frames": 200})
+
+
+@pytest.mark.slow
+def test_the_door_of_a_running_gatekeeper():
+    row = FuzzSocket().run({"door": 1, "seconds": 12.0})
+    assert row["said"]["frames"] > 100
+    assert row["said"]["not hung up"] == 0
+    assert row["said"]["refused"] > 10
+    assert {kind.partition(":")[0] for kind in row["verdicts"]} >= {"refused"}
+    assert row["rss_kib"][1] < 1.5 * row["rss_kib"][0]
+    assert row["calm"]["ticks"] > 5000
+    assert "| with fuzz |" in "\n".join(FuzzSocket().report([row]))

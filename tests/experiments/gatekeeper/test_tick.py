@@ -1,0 +1,50 @@
+"""The proof of the control tick: a short working day of a gatekeeper, and its account."""
+
+import json
+
+import pytest
+
+from dualbrain.cli.common.paths import cache
+from dualbrain.control.gatekeeper.timing.tick_profile import PARTS
+from dualbrain.core.weights import locate
+from dualbrain.planner.registry import SMALL_PLANNER
+from experiments.figures.plot_tick import plot_tick
+from experiments.gatekeeper.tick import Tick
+
+
+@pytest.mark.slow
+def test_a_short_working_day(tmp_path):
+    locate(SMALL_PLANNER, cache())
+    row = json.loads(json.dumps(Tick().run({"seconds": 12.0, "planner": SMALL_PLANNER}), default=float))
+    assert row["ticks"] > 5000
+    assert sum(row["bins"].values()) == row["ticks"] - 1
+    assert row["contracts"]["given, accepted"] >= 1
+    assert row["parts"]["skills"]["ticks"] > 1000, "the arm moved"
+    assert row["parts"]["show"]["ticks"] > 50, "and was seen to"
+    assert row["page"][0] > 0
+    assert len(row["decisions"]) >= 1
+    assert row["recording"]["complete"]
+    assert row["violations"] == []
+    parts = [part for name, part in row["parts"].items() if name != "wait"]
+    assert 0.3 < sum(part["mean"] * part["ticks"] for part in parts) / (row["ticks"] * row["work"][0]) < 3.0
+    account = "\n".join(Tick().report([row]))
+    assert f"**{row['robot_ticks']}** periods of the robot" in account
+    plot_tick(row, tmp_path / "images" / "tick.png")
+    assert (tmp_path / "images" / "tick.png").stat().st_size < 100_000
+
+
+def test_the_account_tells_what_is_in_the_row():
+    part = {"ticks": 500, "mean": 2e-5, "quantiles": [1e-5, 3e-5, 4e-5, 5e-5]}
+    row = {
+        "ticks": 1000, "robot_ticks": 1003, "missed": 3, "late": 5, "slips": 0, "bins": {"49": 997, "999": 2},
+        "interval": [1e-3] * 4,
+        "work": [3e-4] * 4, "latency": [2e-4] * 4, "parts": dict.fromkeys(PARTS, part), "decisions": [2.0, 4.0, 3.0],
+        "planner": "some-planner", "contracts": {"given, accepted": 4}, "outcomes": {"succeeded": 4}, "page": [9, 5e5],
+        "recording": {"complete": True, "dropped": 0, "bytes": 3e6}, "violations": [],
+    }  # fmt: skip
+    text = "\n".join(Tick().report([row]))
+    assert "**1003** periods of the robot, **500** control ticks; **503** ticks missed (50.15%), 3 states lost" in text
+    assert "(over 1 ms of work): **5** (1.00%). Stalls of over 20 ms: **2**, the longest 1 ms" in text
+    assert "3 decisions of `some-planner` (median 3.0 s); contracts: given, accepted 4" in text
+    assert "| filter | " in text
+    assert "| wait | " not in text

@@ -1,0 +1,45 @@
+"""What `learning` says of its ledgers: thirds, refusals, dynamic weights against static ones from the same start."""
+
+import numpy as np
+import pytest
+
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.memory.plasticity.rule import EPSILON
+from experiments.figures.plot_learning import plot_learning
+from experiments.memory.learning import compared, start_contracts, thirds, usual
+
+
+def row(arm, sizes, seed=0):
+    episodes = [{"Delta": size, "decision_s": 1.0} for size in sizes]
+    return {"scene": "a", "seed": seed, "arm": arm, "episodes": episodes, "ledger": "0" * 64, "parted": [[1, 0.5, 0.5]]}
+
+
+def test_thirds_leave_out_what_did_not_move():
+    assert thirds(row("static", [0.4, None, 0.2, 0.1, 0.1, None, 0.0, 0.2, None])) == pytest.approx((0.3, 0.1))
+    assert np.isnan(thirds(row("static", [0.4, None, None]))[1])
+
+
+def test_arms_are_compared_ledger_by_ledger():
+    first = [row("dynamic", [0.2, 0.1, 0.0]), row("static", [0.2, None, 0.1])]
+    second = [row("dynamic", [0.2, 0.1, 0.3], 1), row("static", [0.2, 0.1, 0.1], 1)]
+    third = [row("dynamic", [0.2, 0.1, 0.0], 2), row("static", [0.2, 0.1, 0.4], 2)]
+    rows = [*first, *second, *third, row("dynamic", [0.0], 3)]
+    told = " ".join(compared(rows))
+    assert "lower in 2 of 3 ledgers, higher in 1; mean difference -0.1000" in told
+    assert "0 of 9 with dynamic weights, 1 of 9 with static ones" in told
+    assert compared(rows[-1:]) == []
+
+
+def test_epsilon_is_memorys_own_where_the_start_has_no_success(tmp_path):
+    Ledger(tmp_path / "ledger.sqlite", holder="test", now=0.0).close()
+    assert usual(tmp_path / "ledger.sqlite") == EPSILON
+
+
+def test_contracts_of_the_start_differ_from_seed_to_seed_and_are_the_same_again():
+    assert start_contracts(3) == start_contracts(3)
+    assert start_contracts(3) != start_contracts(4)
+
+
+def test_a_ledger_without_any_motion_can_be_drawn(tmp_path):
+    plot_learning([row("dynamic", [None, 0.1]), row("static", [None, None])], tmp_path / "x.png")
+    assert (tmp_path / "x.png").stat().st_size > 1000

@@ -1,0 +1,80 @@
+"""The tasks of the conservatism proof, how it counts, and one task flown."""
+
+from collections import Counter
+from itertools import islice
+
+import pytest
+
+from dualbrain.simulation.scenes.generators.tabletop import FAMILIES
+from experiments.engine.experiment import Options
+from experiments.engine.jsonl_log import Journal
+from experiments.planning.competent_contracts import CLEARANCE, FORCE, all_tasks, task
+from experiments.safety.conservatism import WANTED, Conservatism
+
+FAST = {"family": "tabletop", "seed": 106, "kind": "move_to"}
+
+
+def flown(key, feasible, *, on=True):
+    """A row of the journal as it would be left."""
+    family, rest = key.split(":")
+    seed, kind = rest.split()
+    off = {"valid": True, "outcome": "succeeded", "truth": feasible, "violations": [], "duration": 10.0, "reason": ""}
+    end = {**off, "truth": on, "duration": 10.5, "reason": "carry: stuck, 1.5 cm from the goal", "bound": "carry: x"}
+    return {
+        "key": key, "family": family, "seed": int(seed), "kind": kind, "feasible": feasible, "off": off,
+        "on": end if feasible else None,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def options(tmp_path):
+    return Options(tmp_path, "")
+
+
+def test_every_family_and_kind_takes_part():
+    tasks = list(islice(all_tasks(), WANTED))
+    assert set(Counter(one["family"] for one in tasks).values()) <= {28, 29}
+    assert {one["family"] for one in tasks} == set(FAMILIES)
+    kinds = Counter(one["kind"] for one in tasks)
+    assert kinds["errand"] > WANTED * 0.45
+    assert min(kinds.values()) > WANTED * 0.1
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_contract_follows_the_rules_and_its_seed(family):
+    for seed in range(100, 103):
+        made, again = (task(family, seed, "errand") for _ in range(2))
+        assert made.actions == again.actions
+        grasp, place = (action["params"] for action in made.actions)
+        assert grasp["clearance"] in {*CLEARANCE.values(), 0.1}
+        assert place["wait"] == ("until_clear" if family == "forearm" else "none")
+        assert grasp["force"] == FORCE
+
+
+def test_each_infeasible_task_calls_for_one_more(options):
+    proof = Conservatism()
+    first = [unit.key for unit in proof.units(options)]
+    assert len(first) == WANTED
+    journal = Journal(options.folder / "conservatism.jsonl")
+    journal.append(flown(first[0], feasible=False))
+    journal.append(flown(first[1], feasible=True))
+    more = [unit.key for unit in proof.units(options)]
+    assert more[:WANTED] == first
+    assert len(more) == WANTED + 1
+
+
+def test_the_report_counts_what_the_filter_made_fail(options):
+    keys = [unit.key for unit in Conservatism().units(options)][:4]
+    rows = [flown(keys[0], feasible=False), *(flown(key, feasible=True, on=key != keys[2]) for key in keys[1:])]
+    text = "\n".join(Conservatism().report(rows))
+    assert "**1 of 3" in text
+    assert "median 0.50 s" in text
+    assert f"| {keys[2]} | carry: stuck, 1.5 cm from the goal | 1.5 cm | carry: x |" in text
+
+
+def test_a_journey_is_flown_without_and_with_the_filter():
+    row = Conservatism().run(FAST)
+    assert row["feasible"]
+    assert row["on"]["truth"]
+    assert row["on"]["h_min"] > 0.0
+    assert row["off"]["Delta"] == 0.0

@@ -1,0 +1,155 @@
+"""The kernel as a C program: the same bits from every compiler at every level, every line run, nothing to report."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from tests.kernel import golden_hashes
+from tests.kernel.compilers import CLANG, CLANG_HOST, CLANG_TRAPS, GCC, INCLUDES, ROOT, WARNINGS, build, sources
+
+SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+
+WIDE = '-DDBK_WIDE=__attribute__((target_clones("avx2","default")))'
+"""As CMakeLists.txt has it on x86-64: hot loops compiled twice."""
+
+BUILDS = [
+    (GCC, "-O0"), (GCC, "-O2"), (GCC, "-O3"), (GCC, "-O3 -march=native"), (GCC, f"-O3 {WIDE}"),
+    (CLANG, "-O0"), (CLANG, "-O2"), (CLANG_HOST, "-O3"),
+]  # fmt: skip
+MORE = [
+    (GCC, "-O1"), (GCC, "-Os"), (GCC, "-O2 -DDBK_LANES=1"), (GCC, "-O2 -fno-tree-vectorize"),
+    (GCC, "-O3 -march=native -flto"),
+    (CLANG, "-O1"), (CLANG, "-Os"), (CLANG, "-O3"), (CLANG_HOST, "-O2"), (CLANG_TRAPS, "-O1"),
+]  # fmt: skip
+
+
+def names(cases):
+    return [f"{compiler.name} {level}{' host' * (compiler is CLANG_HOST)}" for compiler, level in cases]
+
+
+@pytest.mark.parametrize(
+    ("compiler", "level"),
+    [*BUILDS, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)],
+    ids=[*names(BUILDS), *names(MORE)],
+)
+def test_every_build_gives_the_same_bits(tmp_path, compiler, level):
+    assert golden_hashes.hashes(build(tmp_path, "golden", compiler, *level.split())) == golden_hashes.recorded()["float32"]
+
+
+@pytest.mark.parametrize(("compiler", "level"), [(GCC, "-O3"), pytest.param(CLANG, "-O2", marks=pytest.mark.slow)])
+def test_the_float64_build_gives_its_own_bits(tmp_path, compiler, level):
+    built = build(tmp_path, "golden", compiler, level, "-DDBK_DOUBLE")
+    assert golden_hashes.hashes(built) == golden_hashes.recorded()["float64"]
+
+
+# --- the golden cases run everything ------------------------------------------------------------------------------
+
+
+def covered(folder, include):
+    """Kernel lines (file, number, text) that ran, and those that did not, in a build with the headers of `include`."""
+    folder.mkdir()
+    flags = ["-O0", "--coverage", f"-I{include}", f"-I{ROOT / 'tests/kernel'}"]
+    cases = [str(ROOT / "tests/kernel" / name) for name in ("cases.c", "golden.c")]
+    GCC.run(*flags, *sources(), *cases, "-o", "golden", cwd=folder)
+    printed = subprocess.run([folder / "golden"], cwd=folder, capture_output=True, text=True, check=True).stdout
+    objects = sorted(str(path) for path in folder.glob("*dbk_*.gcno"))
+    report = subprocess.run(["gcov", "-t", *objects], cwd=folder, capture_output=True, text=True, check=True).stdout
+    ran, missed, file = set(), set(), ""
+    for line in (line for line in report.splitlines() if line.count(":") >= 2):
+        count, number, text = (part.strip() for part in line.split(":", 2))
+        if number == "0" and text.startswith("Source:"):
+            file = text.rsplit("/", 1)[-1]
+        elif file.startswith("dbk_") and file.endswith(".c") and number != "0" and count != "-":
+            (missed if count == "#####" else ran).add((file, int(number), text))
+    return ran, missed, [line.split() for line in printed.splitlines()]
+
+
+def test_the_golden_cases_run_every_line(tmp_path):
+    """A second build with a cap of three iterations runs what no problem of this size reaches; it must brake."""
+    ran, missed, _ = covered(tmp_path / "shipped", ROOT / "kernel/include")
+    short = shutil.copytree(ROOT / "kernel/include", tmp_path / "include") / "dbk/dbk_config.h"
+    text, found = re.subn(r"#define DBK_QP_CAP \d+", "#define DBK_QP_CAP 3", short.read_text())
+    assert found == 1
+    short.write_text(text)
+    ran_short, _, printed = covered(tmp_path / "capped", tmp_path / "include")
+    capped = [line for line in printed if int(line[7]) & 64]
+    assert capped, "the cap was met"
+    assert all(int(line[5]) > 0 for line in capped), "and the filter stopped"
+    left = sorted(missed - ran_short)
+    assert not left, "lines that no golden case runs; add one to cases.c: " + "; ".join(map(str, left))
+    assert len(ran) > 800
+
+
+# --- arbitrary input ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "real", [[], pytest.param(["-DDBK_DOUBLE"], marks=pytest.mark.slow)], ids=["float32", "float64"]
+)
+def test_arbitrary_bits_never_make_an_inadmissible_control(tmp_path, real):
+    counts = [int(word) for word in build(tmp_path, "hostile", GCC, *SANITIZE, *real).lines("6000")[-1].split()]
+    assert all(count > 0 for count in counts[1:])  # modified, relaxed, stopped and faulty answers were all seen
+
+
+@pytest.mark.slow
+def test_a_million_arbitrary_inputs(tmp_path):
+    build(tmp_path, "hostile", GCC, "-O2").lines("1000000")
+
+
+@pytest.mark.slow
+def test_the_golden_cases_leave_the_sanitizers_nothing_to_report(tmp_path):
+    assert golden_hashes.hashes(build(tmp_path, "golden", GCC, *SANITIZE)) == golden_hashes.recorded()["float32"]
+
+
+# --- objects ------------------------------------------------------------------------------------------------------
+
+ALLOWED = {"memcpy", "memset", "memmove", "__stack_chk_fail"}
+ARM = [
+    "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables", "-fno-exceptions",
+]  # fmt: skip
+ARM_ALLOWED = {f"__aeabi_{name}{size}" for name in ("memcpy", "memset", "memmove", "memclr") for size in ("", "4", "8")}
+
+
+def symbols(path):
+    """(kind, name) of every symbol of an object file."""
+    printed = subprocess.run(["nm", str(path)], capture_output=True, text=True, check=True).stdout
+    return [tuple(line.split()[-2:]) for line in printed.splitlines()]
+
+
+def check_symbols(path, allowed):
+    for kind, name in symbols(path):
+        if name.startswith("$"):
+            continue  # ARM's marks between code and data
+        assert kind not in "bBdDC", f"{name} is writable data"
+        assert kind != "T" or name.startswith("dbk_"), f"{name} lacks the prefix"
+        assert kind != "U" or name.startswith("dbk_") or name in allowed, f"{name} comes from a library"
+
+
+def test_no_heap_no_libm_no_globals(tmp_path):
+    """The objects refer to nothing but each other, memory moves, and hold no writable data."""
+    for source in sources():
+        target = tmp_path / "one.o"
+        GCC.run("-O1", *WARNINGS, *INCLUDES, "-c", source, "-o", str(target))
+        check_symbols(target, ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "core", ["cortex_m7+fp_armv8d16sp", pytest.param("cortex_m4+vfp4d16sp", marks=pytest.mark.slow)]
+)
+def test_compiles_for_a_microcontroller_without_any_library(tmp_path, core):
+    """Hard float in single precision: a helper such as __aeabi_dadd would mean that a double slipped in."""
+    total = 0
+    for source in sources():
+        target = tmp_path / "one.o"
+        # zig's own compiler settings for the host do not apply: the target is named here
+        bare = type(CLANG)("clang", CLANG.command, (*ARM, f"-mcpu={core}"))
+        bare.run("-Os", *WARNINGS, INCLUDES[0], "-c", source, "-o", str(target))
+        check_symbols(target, ALLOWED | ARM_ALLOWED)
+        sizes = subprocess.run(["size", str(target)], capture_output=True, text=True, check=True).stdout
+        text, data, zero = (int(word) for word in sizes.splitlines()[1].split()[:3])
+        assert (data, zero) == (0, 0)
+        total += text
+    assert 5_000 < total < 64_000  # bytes of code and constants

@@ -1,0 +1,110 @@
+"""Chunks quote exactly: offsets, pages, headings, and nothing is lost or said twice."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.knowledge.builtin_documents import DATA, SHIPPED
+from dualbrain.knowledge.chunking import LONGEST, chunks
+from dualbrain.knowledge.document import Citation, parse_citation
+from dualbrain.knowledge.library import Library
+from dualbrain.knowledge.readers.reader import Reading, read
+from tests.knowledge.pdf_builder import pdf, say
+
+words = st.lists(
+    st.sampled_from(
+        ["alpha", "beta.", "gamma\n", "\n\n", "# H\n", "- x\n", "## K\n\n", "ü" * 30, "a" * 700, "| t |\n"]
+    ),
+    min_size=4,
+    max_size=60,
+)
+
+
+def reading(text: str, name: str = "a.md") -> Reading:
+    found = read((text + "\n\nenough words to be a document at all\n").encode(), name)
+    assert isinstance(found, Reading)
+    return found
+
+
+@settings(max_examples=80, deadline=None)
+@given(words.map(" ".join), st.sampled_from(["a.md", "a.txt"]))
+def test_chunks_are_slices_in_order_that_lose_only_headings(text: str, name: str) -> None:
+    found = reading(text, name)
+    pieces = chunks(found)
+    end = 0
+    left_out = ""
+    for piece in pieces:
+        assert end <= piece.start < piece.end <= len(found.text)
+        quoted = found.text[piece.start : piece.end]
+        assert quoted == quoted.strip()
+        assert len(quoted) <= LONGEST
+        left_out += found.text[end : piece.start]
+        end = piece.end
+    left_out += found.text[end:]
+    lost = [line.strip() for line in left_out.splitlines() if line.strip()]
+    assert not lost or (name == "a.md" and all(line.startswith("#") for line in lost))
+
+
+def test_a_chunk_knows_the_headings_above_it() -> None:
+    found = reading("# Top\n\nfirst words\n\n## Inner\n\nsecond words\n\n# Other\n\nthird words")
+    paths = {found.text[c.start : c.end].split()[0]: c.path for c in chunks(found)}
+    assert paths == {"first": ("Top",), "second": ("Top", "Inner"), "third": ("Other",)}
+
+
+def test_no_chunk_crosses_a_page() -> None:
+    found = read(pdf(say("one short page of words"), say("and a second one of them")), "a.pdf")
+    assert isinstance(found, Reading)
+    assert [piece.page for piece in chunks(found)] == [1, 2]
+
+
+def test_an_entry_of_a_toml_file_is_one_chunk() -> None:
+    data = (DATA / "panda-templates.toml").read_bytes()
+    found = read(data, "panda-templates.toml")
+    assert isinstance(found, Reading)
+    named = [piece for piece in chunks(found) if found.text[piece.start :].startswith("[[")]
+    assert [piece.path[0] for piece in named][:2] == ["fetch_and_place", "fetch_past_a_person"]
+    assert len(named) == data.count(b"[[templates]]")
+
+
+def test_quoting_a_citation_gives_the_chunk(shipped: Library) -> None:
+    count = 0
+    for document in shipped.documents():
+        for citation, text in shipped.chunks_of(document.name):
+            again = parse_citation(str(citation))
+            assert again is not None
+            assert shipped.quote(again) == text
+            count += 1
+    assert count == len(shipped) > 60
+
+
+@pytest.mark.parametrize("file", [file for file in SHIPPED if file.endswith(".md")])
+def test_offsets_of_markdown_are_those_of_the_file(shipped: Library, file: str) -> None:
+    source = (DATA / file).read_text("utf-8")
+    for citation, text in shipped.chunks_of(file.removesuffix(".md")):
+        assert source[citation.start : citation.end] == text
+
+
+@settings(deadline=None)
+@given(
+    st.builds(
+        Citation,
+        st.from_regex(r"[a-z0-9][a-z0-9_-]{0,47}", fullmatch=True),
+        st.from_regex(r"[0-9a-f]{64}", fullmatch=True),
+        st.integers(0, 10**8),
+        st.just(10**9 - 1),
+        st.none() | st.integers(1, 10**6 - 1),
+    )
+)
+def test_a_citation_is_what_it_is_written_as(citation: Citation) -> None:
+    again = parse_citation(str(citation))
+    assert again is not None
+    assert str(again) == str(citation)
+    assert citation.version.startswith(again.version)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "a", "a@b#1-2", "a@0123456789ab#2-1", "A@0123456789ab#1-2", "a@0123456789ab#1-2,p", "../x@0123456789ab#1-2"],
+)
+def test_what_is_no_citation_is_none(text: str) -> None:
+    assert parse_citation(text) is None

@@ -1,0 +1,44 @@
+"""What llama.cpp's own grammars are sent admits what the decoding schema admits, and holds nothing they cannot read."""
+
+import jsonschema_rs
+import pytest
+
+from dualbrain.contracts.schema import decoding_schema
+from dualbrain.core.text import hides_something
+from dualbrain.grounding.vocabulary import vocabulary
+from dualbrain.planner.decoding.gbnf_schema import by_length
+from dualbrain.planner.decoding.llguidance_grammar import narrow
+from tests.planner.sample_requests import NAMES, REGISTRY
+
+LONGEST = next(one.max_length for one in vocabulary("base").skill("decline").parameters)
+
+
+def leaves(schema):
+    """All values of `schema` that hold no others, in order."""
+    match schema:
+        case dict():
+            return [leaf for value in schema.values() for leaf in leaves(value)]
+        case list():
+            return [leaf for value in schema for leaf in leaves(value)]
+        case _:
+            return [schema]
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e", "base", "mobile_panda"])
+def test_no_hidden_character_is_left_and_nothing_else_is_lost(robot):
+    schema = narrow(decoding_schema(vocabulary(robot), NAMES))
+    told = by_length(schema)
+    hidden = [one for one in leaves(schema) if hides_something(str(one))]
+    assert len(hidden) == 1  # the reason of a decline
+    assert [one for one in leaves(told) if one != LONGEST] == [one for one in leaves(schema) if one not in hidden]
+
+
+@pytest.mark.parametrize("length", [0, 1, 40, 41])
+def test_a_text_is_as_long_as_before(length):
+    schema = decoding_schema(REGISTRY, NAMES)
+    steps = [{"skill": "decline", "params": {"reason": "x" * length}}]
+    contract = {
+        "id": "c-0001", "context": {"robot": "panda", "registry": REGISTRY.hash}, "action_sequence": steps,
+    }  # fmt: skip
+    verdicts = [jsonschema_rs.validator_for(one).is_valid(contract) for one in (narrow(schema), by_length(schema))]
+    assert verdicts == [length <= 40] * 2

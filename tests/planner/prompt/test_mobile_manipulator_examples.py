@@ -1,0 +1,110 @@
+"""What a planner of an arm on a base is told: its own role, and an example that suits what the words ask for."""
+
+import jsonschema_rs
+import pytest
+
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.schema import short_form, validation_schema
+from dualbrain.grounding.offline_gate import as_specified
+from dualbrain.grounding.scene_summary import summarise
+from dualbrain.grounding.vocabulary import scene_names, vocabulary
+from dualbrain.planner.prompt import mobile_manipulator_examples
+from dualbrain.planner.prompt.full_prompt import MAX_EXEMPLARS, beside_hash, render, template_hash
+from dualbrain.planner.prompt.mobile_manipulator_examples import (
+    DECLINING,
+    EXAMPLES,
+    GOING,
+    GOING_FIRST,
+    PUTTING,
+    PUTTING_FIRST,
+    fitting,
+)
+from dualbrain.records import Recall
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.tasks.instructions import wordings
+from tests.planner.sample_requests import exemplar, request
+
+ROBOT = "mobile_panda"
+SCENE = as_specified(open_scene("workroom:0", ROBOT))
+SUMMARY = summarise(SCENE)
+NAMES = {"object": "red_cube", "target": "blue_bowl"}
+
+
+def asked(words, **changed):
+    skills = short_form(vocabulary(ROBOT), scene_names(SCENE))
+    return request(words, scene=SUMMARY, robot=ROBOT, skills_text=skills, **changed)
+
+
+def skills_of(example):
+    return [action["skill"] for action in example.actions]
+
+
+def test_it_is_told_of_both_its_parts_and_others_are_not():
+    told = render(asked("go to the shelf"))
+    assert told[0]["content"].startswith('You plan for the mobile robot "mobile_panda"')
+    assert len(told) == 2 + 2 * MAX_EXEMPLARS
+    assert "drive_to(" in told[0]["content"]
+    assert "grasp(" in told[0]["content"]
+    assert "bench: before table, heading 1.57" in told[-1]["content"]
+
+
+@pytest.mark.parametrize("one", wordings("go"), ids=lambda one: one.text[:30])
+def test_to_those_who_ask_it_to_go_a_drive_is_shown_last(one):
+    assert fitting(one.words(target="shelf"), SUMMARY, MAX_EXEMPLARS)[-1] is GOING
+
+
+@pytest.mark.parametrize("one", wordings("put_in"), ids=lambda one: one.text[:30])
+def test_to_those_who_want_a_thing_put_away_a_grasp_is_shown_last(one):
+    assert fitting(one.words(**NAMES), SUMMARY, MAX_EXEMPLARS)[-1] is PUTTING
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("go to the shelf, then put the red cube in the blue bowl", GOING_FIRST),
+        ("put the red cube in the blue bowl and then drive to the charger", PUTTING_FIRST),
+        ("put the cube in the bowl", PUTTING),
+    ],
+)
+def test_both_in_the_order_of_the_words(words, wanted):
+    shown = fitting(words, SUMMARY, MAX_EXEMPLARS)
+    assert shown[0] is DECLINING
+    assert shown[-1] is wanted
+
+
+def test_what_memory_recalls_takes_the_place_of_the_examples_that_suit_less():
+    told = render(asked("go to the shelf", recall=Recall(exemplars=(exemplar("best"), exemplar("second", rank=2)))))
+    assert len(told) == 2 + 2 * MAX_EXEMPLARS
+    assert GOING.instruction in told[1]["content"]
+    assert "best" in told[-3]["content"]
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.instruction)
+def test_the_examples_are_contracts_of_this_robot_and_keep_their_own_rules(example):
+    registry = vocabulary(ROBOT)
+    lines = dict(line.split(": ", 1) for line in example.scene.splitlines() if ": " in line)
+    things = [name for name, text in lines.items() if text.startswith("object")]
+    spots = [name for name, text in lines.items() if text.startswith("container")] + lines["places"].split(", ")
+    context = {"robot": ROBOT, "registry": registry.hash}
+    contract = {"id": "c-0001", "context": context, "action_sequence": list(example.actions)}
+    schema = validation_schema(registry, SceneNames(tuple(things), tuple(spots)))
+    jsonschema_rs.validator_for(schema).validate(contract)
+    skills = skills_of(example)
+    for before, action in zip([None, *example.actions], example.actions, strict=False):
+        known = [parameter.name for parameter in registry.by_name[action["skill"]].parameters]
+        assert list(action["params"]) == known, "the order in which a constrained decoder writes them"
+        if action["skill"] == "turn_to":
+            assert lines[before["params"]["place"]].endswith(f"heading {action['params']['heading']}")
+        if action["skill"] == "grasp":
+            assert before["skill"] == "turn_to", "it has driven to where the thing is, and looks at it"
+            assert "at counter" in lines[action["params"]["object"]]
+        if action["skill"] == "drive_to" and before is not None:
+            assert before["skill"] in ("home", "drive_to")
+    assert skills.count("grasp") == skills.count("place")
+
+
+def test_it_stands_beside_the_template_that_adapters_were_trained_on(monkeypatch):
+    before = beside_hash(), template_hash()
+    monkeypatch.setattr(mobile_manipulator_examples, "SYSTEM", "other words")
+    assert beside_hash() != before[0]
+    assert template_hash() == before[1]

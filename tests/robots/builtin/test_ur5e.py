@@ -1,0 +1,91 @@
+"""The UR5e's numbers and cover against the URDF and the meshes they come from."""
+
+import xml.etree.ElementTree as ET
+from functools import lru_cache
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+from dualbrain.robots.builtin import ur5e
+from dualbrain.robots.collision_model.coverage import Balls, proven_covered
+from dualbrain.robots.collision_model.self_collision import chain_frames, random_configurations
+from dualbrain.robots.loader import load_body
+from tests.robots.panda_oracle import about, roll_pitch_yaw
+
+UR5E = load_body("ur5e")
+NAMES = ("base_link_inertia", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link",
+         "wrist_3_link")  # fmt: skip
+
+
+@lru_cache
+def urdf():
+    """Its root; the asset uses the prefix `drake:` without declaring it."""
+    path = metadata.distribution("airo-models").locate_file("airo_models/arms/ur5e/ur5e.urdf")
+    return ET.fromstring(path.read_text().replace("drake:", "drake_"))
+
+
+def numbers(text):
+    return np.array(list(map(float, text.split())))
+
+
+def urdf_pose(link, q):
+    """4x4 pose of a link, walking from it to the root."""
+    values, pose = dict(zip((joint.name for joint in UR5E.joints), q, strict=True)), np.eye(4)
+    while (joint := next((j for j in urdf().iter("joint") if _child(j) == link), None)) is not None:
+        origin, step = joint.find("origin"), np.eye(4)
+        step[:3, :3], step[:3, 3] = roll_pitch_yaw(*numbers(origin.get("rpy"))), numbers(origin.get("xyz"))
+        if joint.get("name") in values:
+            turn = np.eye(4)
+            turn[:3, :3] = about(numbers(joint.find("axis").get("xyz")), values[joint.get("name")])
+            step = step @ turn
+        pose, link = step @ pose, joint.find("parent").get("link")
+    return pose
+
+
+def _child(joint):
+    child = joint.find("child")
+    return None if child is None else child.get("link")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_chain_is_the_urdf_chain(seed):
+    q = random_configurations(UR5E.joints, 1, np.random.default_rng(seed))[0]
+    turns, origins = chain_frames(UR5E.joints, q[None])
+    for frame, link in enumerate(NAMES):
+        if frame:  # the base frame itself looks forward (REP 103), its half turn stands in the first joint
+            pose = urdf_pose(link, q)
+            assert np.allclose(turns[0, frame], pose[:3, :3], atol=1e-8)
+            assert np.allclose(origins[0, frame], pose[:3, 3], atol=1e-8)
+
+
+@pytest.mark.parametrize("joint", UR5E.joints, ids=lambda joint: joint.name)
+def test_limits_are_those_of_the_asset(joint):
+    limit = next(j for j in urdf().iter("joint") if j.get("name") == joint.name).find("limit")
+    for key in ("lower", "upper", "velocity"):
+        assert getattr(joint, key).value == pytest.approx(float(limit.get(key)), abs=2e-5)
+    assert "no limit" in joint.acceleration.provenance
+
+
+def test_the_tool_looks_down_at_home():
+    turns, origins = chain_frames(UR5E.joints, np.array([UR5E.home]))
+    assert np.allclose(turns[0, -1], np.diag([1.0, -1.0, -1.0]), atol=1e-3)
+    tip = origins[0, -1] + turns[0, -1] @ np.array(UR5E.tool.translation)
+    assert np.allclose(tip, [0.42, 0.0, 0.45], atol=1e-3)
+
+
+@pytest.mark.parametrize("link", ur5e.COVER)
+def test_the_stored_spheres_cover_every_part_by_proof(link):
+    own = [sphere for sphere in UR5E.spheres if sphere.link == link]
+    balls = Balls(np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own]))
+    for wanted in ur5e.COVER[link]:
+        assert proven_covered(ur5e.part(wanted.mesh), balls)
+        assert not proven_covered(ur5e.part(wanted.mesh), Balls(balls.centres, 0.9 * balls.radii), levels=6)
+
+
+@pytest.mark.parametrize("part", ["finger", "knuckle"])
+def test_the_right_side_of_the_hand_is_the_left_one_turned_round(part):
+    left, right = (
+        np.array([s.centre for s in UR5E.spheres if s.link == f"{side}_{part}"]) for side in ("left", "right")
+    )
+    assert np.array_equal(right, left * (-1.0, -1.0, 1.0))

@@ -1,0 +1,93 @@
+"""Cover and excess: of the stored spheres against the collision meshes, and of the measures against plain geometry."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.collision_model.coverage import (
+    Balls,
+    covered,
+    distance_outside,
+    measure_excess,
+    proven_covered,
+    proven_inflation,
+    union_surface,
+)
+from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
+from tests.robots.panda_oracle import PANDA, balls, link_mesh
+
+LINKS = [link.name for link in PANDA.links]
+WORST = {"link0": 0.100, "hand": 0.014, "left_finger": 0.013, "right_finger": 0.013}
+CUBE = Mesh(
+    np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]),
+    np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
+              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_stored_spheres_cover_every_point_of_the_mesh_by_proof(link):
+    assert proven_covered(link_mesh(link), balls(link))
+
+
+def test_the_stored_spheres_cover_a_sample_of_the_whole_body():
+    area = {link: link_mesh(link).areas.sum() for link in LINKS}
+    rng = np.random.default_rng(5)
+    for link in LINKS:
+        count = int(20_000 * area[link] / sum(area.values())) + 200
+        assert covered(surface_points(link_mesh(link), count, rng), balls(link)).all()
+
+
+@pytest.mark.slow
+def test_the_stored_spheres_cover_a_large_sample():
+    rng = np.random.default_rng(6)
+    hit = [covered(surface_points(link_mesh(link), 20_000, rng), balls(link)) for link in LINKS]
+    assert np.concatenate(hit).mean() >= 0.999
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_excess_stays_below_its_bar(link):
+    excess = measure_excess(link_mesh(link), balls(link), 1500, np.random.default_rng(7))
+    assert excess.worst <= WORST.get(link, 0.027)
+
+
+def test_finger_tips_bulge_little_where_it_matters():
+    for link, inward in (("left_finger", -1.0), ("right_finger", 1.0)):
+        surface = union_surface(balls(link), 20_000, np.random.default_rng(8))
+        tip = surface[surface[:, 2] > 0.034]
+        assert tip[:, 2].max() - link_mesh(link).vertices[:, 2].max() <= 0.003
+        assert np.max(inward * tip[:, 1]) <= 0.004
+
+
+def test_a_missing_ball_is_noticed():
+    for link in ("link3", "hand", "left_finger"):
+        whole = balls(link)
+        for i in range(len(whole.radii)):
+            rest = Balls(np.delete(whole.centres, i, axis=0), np.delete(whole.radii, i))
+            assert not proven_covered(link_mesh(link), rest, levels=6)
+
+
+def test_a_cube_needs_a_ball_of_its_half_diagonal():
+    start = Balls(np.zeros((1, 3)), np.array([1.5]))
+    none = Balls(np.zeros((0, 3)), np.zeros(0))
+    assert 1.5 + proven_inflation(CUBE, none, start) == pytest.approx(np.sqrt(3), abs=3e-5)
+    grown = Balls(start.centres, np.array([np.sqrt(3) + 1e-6]))
+    excess = measure_excess(CUBE, grown, 20_000, np.random.default_rng(0))
+    assert excess.worst == pytest.approx(np.sqrt(3) - 1, abs=5e-3)
+    assert excess.volume_ratio == pytest.approx(np.pi * np.sqrt(3) / 2, rel=0.03)
+
+
+@given(st.tuples(*[st.floats(-3, 3)] * 3))
+def test_distance_outside_a_cube_is_the_textbook_one(point):
+    outside = np.linalg.norm(np.maximum(np.abs(point) - 1, 0))
+    assert distance_outside(CUBE, np.array([point]))[0] == pytest.approx(outside, abs=1e-9)
+
+
+@given(st.tuples(*[st.floats(-0.99, 0.99)] * 3), st.floats(0.01, 3))
+def test_a_ball_reaches_its_radius_less_its_depth_beyond_a_convex_solid(centre, radius):
+    depth = convex_hull(CUBE).depth(np.array([centre]))[0]
+    assert depth == pytest.approx(1 - np.max(np.abs(centre)))
+    surface = union_surface(Balls(np.array([centre]), np.array([radius])), 4000, np.random.default_rng(1))
+    assert distance_outside(CUBE, surface).max() <= max(radius - depth, 0) + 1e-9

@@ -1,0 +1,73 @@
+"""Spheres contain the shapes, measured on points that the fit has not seen; cuts lose nothing; the budget is kept."""
+
+import numpy as np
+import pytest
+
+from dualbrain.robots.assets.mesh_primitives import box, capsule, cylinder, ellipsoid, hull_mesh, joined
+from dualbrain.robots.assets.meshes import Mesh
+from dualbrain.robots.collision_model.convex_decomposition import convex_parts, volume
+from dualbrain.robots.collision_model.polytope import convex_hull, surface_points
+from dualbrain.robots.collision_model.sphere_budget import QUICK, fit_all
+from tests.robots.importer.urdf_builder import pose
+
+ELL = joined([box(np.array([0.2, 0.04, 0.04]), np.eye(4)), box(np.array([0.04, 0.04, 0.2]), pose((0.16, 0, 0.16)))])
+
+
+def within_height(points, radius, half):
+    """Distance from the segment of half length `half` along z is at most `radius`."""
+    spine = np.column_stack([np.zeros((len(points), 2)), np.clip(points[:, 2], -half, half)])
+    return np.linalg.norm(points - spine, axis=1) <= radius
+
+
+@pytest.mark.parametrize(
+    ("shape", "true_volume", "inside"),
+    [
+        (cylinder(0.1, 0.2, np.eye(4)), np.pi * 0.01 * 0.4,
+         lambda x: (np.hypot(x[:, 0], x[:, 1]) <= 0.1) & (abs(x[:, 2]) <= 0.2)),
+        (ellipsoid(np.full(3, 0.1), np.eye(4)), 4 / 3 * np.pi * 1e-3, lambda x: within_height(x, 0.1, 0.0)),
+        (capsule(0.05, 0.1, np.eye(4)), np.pi * 0.0025 * (0.2 + 4 / 3 * 0.05), lambda x: within_height(x, 0.05, 0.1)),
+    ],
+    ids=["cylinder", "ball", "capsule"],
+)  # fmt: skip
+def test_a_polytope_contains_the_round_shape_it_stands_for(shape, true_volume, inside):
+    points = np.random.default_rng(0).uniform(-0.21, 0.21, (20_000, 3))
+    points = points[inside(points)]
+    assert convex_hull(shape).depth(points).min() >= -1e-12
+    assert 1.0 <= volume(shape) / true_volume < 1.08
+
+
+def test_an_ell_is_cut_into_convex_parts_that_contain_it():
+    parts = convex_parts(ELL)
+    assert 2 <= len(parts) <= 4
+    assert sum(map(volume, parts)) < 0.55 * volume(hull_mesh(ELL.vertices))
+    points = surface_points(ELL, 5000, np.random.default_rng(3))
+    assert np.max([convex_hull(part).depth(points) for part in parts], axis=0).min() > -1e-9
+
+
+def test_a_flat_sheet_is_a_solid_too():
+    sheet = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    assert volume(hull_mesh(sheet.vertices)) == pytest.approx(2e-4, rel=0.01)
+
+
+def test_every_point_of_every_link_is_covered_within_the_budget():
+    shapes = {"ell": [ELL], "rod": [cylinder(0.03, 0.3, pose((0, 0, 0.3)))], "nothing": []}
+    fits = fit_all(shapes, {"ell": 1.0, "rod": 2.0, "nothing": 1.0}, 40, QUICK, 0)
+    assert sum(len(fit.balls.radii) for fit in fits.values()) <= 40
+    for name, (shape, *_) in ((name, meshes) for name, meshes in shapes.items() if meshes):
+        points = surface_points(shape, 20_000, np.random.default_rng(99))
+        balls = fits[name].balls
+        away = np.linalg.norm(points[:, None] - balls.centres, axis=2) - balls.radii
+        hidden = np.max([convex_hull(part).depth(points) for part in convex_parts(shape)], axis=0) > 1e-9
+        assert np.all((away.min(axis=1) <= 1e-9) | hidden)
+        assert fits[name].coverage == 1.0
+        assert fits[name].worst < 0.08
+    assert fits["rod"].worst < fits["ell"].worst
+
+
+def test_the_excess_is_the_distance_of_the_balls_surface_from_the_shape():
+    """One ball around a cube: its surface stands off by r − a at the faces' middles, by nothing at the corners."""
+    cube = box(np.full(3, 0.1), np.eye(4))
+    fit = fit_all({"cube": [cube]}, {"cube": 1.0}, 1, QUICK, 0)["cube"]
+    assert len(fit.balls.radii) == 1
+    assert fit.worst == pytest.approx(fit.balls.radii[0] - 0.1, abs=0.02)
+    assert 0.0 < fit.mean < fit.p95 <= fit.worst

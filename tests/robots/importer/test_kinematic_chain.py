@@ -1,0 +1,163 @@
+"""One serial chain out of any tree: what moves, what rides where, what stands still, and what is refused."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.importer.build_arm import (
+    MOST_JOINTS,
+    MOST_LINKS,
+    MOST_PAIRS,
+    MOST_SPHERES,
+    Wish,
+    build_arm,
+    identifier,
+)
+from dualbrain.robots.importer.kinematic_chain import find_chain, standing
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.safety.cbf.compiled import _kernel_wide
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.robots.importer.urdf_builder import arm_with_everything, joint, link, policy, urdf, written
+
+
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory):
+    return read_urdf(written(tmp_path_factory.mktemp("arm"), arm_with_everything()))
+
+
+def test_slides_turns_and_fixed_joints_become_a_chain_and_fingers_do_not(everything):
+    chain = find_chain(everything)
+    assert [joint.name for joint in chain.joints] == ["lift", "shoulder", "elbow"]
+    assert chain.tip == "lower"
+    assert {rider.link for rider in chain.riders if rider.swept} == {"left", "right"}
+    assert not chain.locked
+
+
+def test_a_swept_finger_is_where_its_joint_may_put_it(everything):
+    chain = find_chain(everything)
+    places = {rider.link: rider.poses[:, :3, 3] for rider in chain.riders}
+    for finger, side in (("left", 1.0), ("right", -1.0)):
+        across = (places[finger] - places[finger][0]) @ chain.riders[-1].poses[0][:3, 0] * side
+        assert np.ptp(np.linalg.norm(places[finger] - places[finger][0], axis=1)) == pytest.approx(0.04)
+        assert np.abs(across).max() == pytest.approx(0.04)
+
+
+def test_the_tool_may_be_any_link_fixed_to_the_last(everything):
+    plain, flange = find_chain(everything), find_chain(everything, tip="lower", tool="flange")
+    assert np.linalg.norm(flange.tool[:3, 3] - plain.tool[:3, 3]) == pytest.approx(0.22)
+    with pytest.raises(InvalidSetup, match="a link fixed to the last joint"):
+        find_chain(everything, tip="lower", tool="column")
+    with pytest.raises(UnknownName, match="Closest: 'flange'"):
+        find_chain(everything, tool="flang")
+
+
+def test_a_locked_joint_is_no_joint_of_the_body_but_moves_what_hangs_on_it(everything):
+    low, high = (find_chain(everything, lock={"lift": value}) for value in (0.0, 0.3))
+    assert [joint.name for joint in high.joints] == ["shoulder", "elbow"]
+    assert high.offsets[0][2, 3] - low.offsets[0][2, 3] == pytest.approx(0.3)
+    assert np.allclose(high.offsets[1], low.offsets[1])
+
+
+def test_several_arms_are_listed_with_the_words_to_choose_one(tmp_path):
+    parts = [link("base")]
+    for side in ("left", "right"):
+        names = ["base", *(f"{side}{i}" for i in range(4))]
+        parts += [link(name) for name in names[1:]]
+        parts += [joint(f"{b}_joint", a, b) for a, b in pairwise(names)]
+    tree = read_urdf(written(tmp_path, urdf(*parts)))
+    with pytest.raises(InvalidSetup, match=r"--chain base\.\.left3 or --chain base\.\.right3"):
+        find_chain(tree)
+    chain = find_chain(tree, tip="left3")
+    assert chain.locked == {f"right{i}_joint": 0.0 for i in range(4)}
+    assert {rider.link for rider in chain.riders if rider.frame == 0} == {"base", *(f"right{i}" for i in range(4))}
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "said"),
+    [
+        ("floating", "", "--chain a.."),
+        ("planar", "", "--base"),
+        ("revolute", '<limit lower="-1" upper="1" velocity="1"/><mimic joint="other"/>', "--lock wrist=VALUE"),
+    ],
+)
+def test_a_joint_that_one_control_cannot_drive_is_refused_with_a_way_out(tmp_path, kind, inside, said):
+    text = urdf(
+        link("base"), link("a"), link("b"), joint("wrist", "base", "a", kind, inside=inside), joint("other", "a", "b")
+    )
+    with pytest.raises(InvalidSetup, match="wrist") as caught:
+        find_chain(read_urdf(written(tmp_path, text)), tip="b")
+    assert said in str(caught.value)
+    assert "robot.urdf:6" in str(caught.value)
+
+
+def test_a_planar_joint_before_the_chain_stands_still_and_is_told(tmp_path):
+    text = urdf(
+        link("floor"),
+        link("base"),
+        link("a"),
+        joint("drive", "floor", "base", "planar", inside=""),
+        joint("turn", "base", "a"),
+    )
+    chain = find_chain(read_urdf(written(tmp_path, text)), base="base", tip="a")
+    assert "drive" in chain.locked
+
+
+def test_more_joints_than_the_kernel_has_are_refused(tmp_path):
+    with pytest.raises(InvalidSetup, match=r"got 17, allowed: at most 16.*--lock"):
+        build_arm(read_urdf(written(tmp_path, snake(17))), policy(), Wish())
+
+
+def snake(n):
+    """A chain of `n` joints whose axes take turns."""
+    names = [f"l{i}" for i in range(n + 1)]
+    turns = [joint(f"j{b}", a, b, axis="0 1 0" if i % 2 else "0 0 1") for i, (a, b) in enumerate(pairwise(names))]
+    return urdf(*(link(name, (0.04, 0.04, 0.1), (0, 0, 0.1)) for name in names), *turns)
+
+
+@pytest.mark.parametrize("n", [8, 9, 14])
+def test_arms_of_many_joints_are_made_and_filtered(tmp_path, n):
+    """The kernel's build is chosen by the body; the tool against a walk through the tree."""
+    tree = read_urdf(written(tmp_path, snake(n)))
+    body = build_arm(tree, policy(), Wish(quick=True, spheres=30, home=tuple([0.1] * n))).body
+    safety = SafetyFilter(body)
+    q = np.random.default_rng(n).uniform(-0.5, 0.5, n)
+    poses, _ = standing(tree, "l0", {joint.name: value for joint, value in zip(body.joints, q, strict=True)})
+    tool = safety.tool(q)
+    assert np.allclose(tool.position, poses[f"l{n}"][:3, 3], atol=3e-6)
+    assert np.allclose(tool.rotation, poses[f"l{n}"][:3, :3], atol=3e-6)
+    answer = safety(np.array(body.home), np.zeros(n), np.ones(n))
+    assert answer.certified
+    assert answer.u.shape == (n,)
+
+
+def test_the_body_moves_as_the_tree_says(everything):
+    """The kernel's tool against a walk through the tree, joint by joint."""
+    made = build_arm(everything, policy(), Wish(quick=True, spheres=40))
+    safety = SafetyFilter(made.body)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = dict(zip(("lift", "shoulder", "elbow"), rng.uniform(0.0, 0.5, 3), strict=True))
+        poses, _ = standing(everything, "base", q)
+        tool = safety.tool(np.array(list(q.values())))
+        assert np.allclose(tool.position, poses["lower"][:3, 3], atol=2e-6)
+        assert np.allclose(tool.rotation, poses["lower"][:3, :3], atol=2e-6)
+    assert made.body.name == "test_arm_7"
+    assert made.report.coverage == 1.0
+    groups = {sphere.link for sphere in made.body.spheres}
+    assert {"base", "hand", "fingers"} <= groups
+
+
+def test_names_become_identifiers():
+    assert [identifier(name) for name in ("UR5", "2-link Arm", "", "A" * 50)] == [
+        "ur5",
+        "robot_2_link_arm",
+        "robot",
+        "a" * 32,
+    ]
+
+
+def test_the_room_is_the_kernels():
+    room = (_kernel_wide.max_joints, _kernel_wide.max_spheres, _kernel_wide.max_links, _kernel_wide.max_pairs)
+    assert room == (MOST_JOINTS, MOST_SPHERES, MOST_LINKS, MOST_PAIRS)

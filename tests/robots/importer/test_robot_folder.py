@@ -1,0 +1,125 @@
+"""The robot's folder: it can be read and edited, making again is a diff, and no edit is lost in silence."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.importer.build_arm import Wish, build_arm
+from dualbrain.robots.importer.output.diff import changes, keep_edits, summary
+from dualbrain.robots.importer.output.robot_folder import Recipe, edits, read_report, write_folder
+from dualbrain.robots.importer.urdf import read_urdf
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import SafetyFilter
+from tests.robots.importer.urdf_builder import arm_with_everything, policy, written
+
+RECIPE = Recipe("robot.urdf", "0" * 64)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    file = written(tmp_path_factory.mktemp("arm"), arm_with_everything())
+    return lambda **said: build_arm(read_urdf(file), policy(**said), Wish(quick=True, spheres=30))
+
+
+@pytest.fixture(scope="module")
+def first(made):
+    return made()
+
+
+@pytest.fixture
+def folder(first, tmp_path):
+    write_folder(tmp_path / "arm", first.body, first.report, RECIPE)
+    return tmp_path / "arm"
+
+
+def edit(folder, change):
+    data = json.loads((folder / "body.json").read_text())
+    change(data)
+    (folder / "body.json").write_text(json.dumps(data))
+
+
+def test_the_filter_takes_the_folder_as_it_lies(folder, first):
+    body = load_body(str(folder))
+    assert body == first.body == load_body(str(folder / "body.json"))
+    answer = SafetyFilter(body)(np.array(body.home), np.zeros(3), np.full(3, 0.1))
+    assert answer.certified
+    assert read_report(folder) == (first.report, RECIPE)
+
+
+def test_the_page_names_every_bound_and_what_is_missing(folder, first):
+    page = (folder / "README.md").read_text()
+    for bound in ("robot.urdf:12: shoulder limit upper", "not identified", "100.00%"):
+        assert bound in page
+    assert all(pair[0] in page for pair in first.body.self_pairs.kept)
+
+
+def test_making_again_shows_what_changed_and_keeps_edits(folder, made):
+    edit(folder, lambda data: data["joints"][1]["velocity"].update(value=0.7, provenance="measured by Ada"))
+    assert [change.entry for change in edits(folder)] == [
+        "joints.shoulder.velocity.value", "joints.shoulder.velocity.provenance"
+    ]  # fmt: skip
+    again = made(acceleration=5.0)
+    written = write_folder(folder, again.body, again.report, RECIPE)
+    assert "joints.shoulder.acceleration.value: 10 → 5" in summary(written.by_making)
+    assert len(written.kept) == 2
+    assert not written.lost
+    shoulder = load_body(str(folder)).joints[1]
+    assert (shoulder.velocity.value, shoulder.acceleration.value) == (0.7, 5.0)
+    assert "measured by Ada" in (folder / "README.md").read_text()
+
+
+def test_edits_go_only_when_asked_to(folder, first):
+    edit(folder, lambda data: data.update(period=0.004))
+    write_folder(folder, first.body, first.report, RECIPE, discard_edits=True)
+    assert load_body(str(folder)) == first.body
+
+
+def test_an_edit_that_has_no_place_any_more_is_told(first):
+    body = first.body
+    edited = msgspec.structs.replace(body, spheres=body.spheres[:-1])
+    fresh, kept, lost = keep_edits(body, edited, body)
+    assert fresh == body
+    assert not kept
+    assert {change.entry.split(".")[0] for change in lost} == {"spheres"}
+    assert not changes(body, body)
+
+
+def test_another_robots_folder_and_foreign_files_are_left_alone(folder, first, tmp_path):
+    other = msgspec.structs.replace(first.body, name="other")
+    with pytest.raises(InvalidSetup, match="test_arm_7"):
+        write_folder(folder, other, first.report, RECIPE)
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.txt").write_text("dear")
+    with pytest.raises(InvalidSetup, match="not a robot's"):
+        write_folder(tmp_path / "home", first.body, first.report, RECIPE)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda data: data["joints"][0]["velocity"].update(value=0.0), "velocity of joint 'lift'"),
+        (lambda data: data["joints"][0]["lower"].update(value=9.0), "range of joint 'lift'"),
+        (lambda data: data["spheres"][0].update(radius=-1.0), "sphere of"),
+        (lambda data: data["spheres"][0].update(link="elbo"), "link of a sphere"),
+        (lambda data: data["links"][0].update(frame=7), "frame of link"),
+        (lambda data: data["joints"][0].update(quaternion=[2, 0, 0, 0]), "of length 1"),
+        (lambda data: data.update(home=[0.0]), "home"),
+        (lambda data: data.update(period=0), "period"),
+        (lambda data: data.update(tool="hand"), r"\$\.tool"),
+        (lambda data: data["tool"].update(link="hnad"), "link of the tool"),
+    ],
+)
+def test_an_edit_that_breaks_the_body_is_told_by_its_entry(folder, change, said):
+    edit(folder, change)
+    with pytest.raises(InvalidSetup, match=said):
+        load_body(str(folder))
+
+
+def test_no_folder_is_no_robot(tmp_path):
+    with pytest.raises(InvalidSetup, match=r"a folder with body\.json"):
+        load_body(str(tmp_path / "nothing.json"))
+    with pytest.raises(UnknownName):
+        load_body("pandaa")

@@ -1,0 +1,164 @@
+"""Every row of the barrier functions, of all pairs, in float64 numpy: what the kernel must not have left out.
+
+Written apart from the kernel: nothing is culled, Jacobians are cross products, accelerations are second differences.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Sphere
+from dualbrain.safety.cbf.kernel import tool_frame
+from tests.safety import geometry_oracle
+
+OBSTACLE, SELF = 0, 1
+FLOOR = 1e-3
+"""[m] pairs nearer than this are always rows."""
+
+
+@dataclass
+class Setting:
+    """One moment: posture, box, base, what is around and what is held."""
+
+    q: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    obstacles: list
+    age: float = 0.0
+    opening: float = 0.0
+    permits: dict = field(default_factory=dict)  # (link name, obstacle's index) -> contact speed [m/s]
+    held: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))  # in the tool frame
+    held_error: float = 0.0
+    base: tuple = (np.eye(3), np.zeros(3))
+
+
+@dataclass
+class Pairs:
+    """All pairs as rows a'u >= b with their h; `permitted` ones have a contact row in place of a barrier."""
+
+    kind: np.ndarray
+    i: np.ndarray
+    j: np.ndarray
+    h: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    permitted: np.ndarray
+
+    def names(self):
+        """(kind, i, j) of every pair."""
+        return list(zip(self.kind.tolist(), self.i.tolist(), self.j.tolist(), strict=True))
+
+
+class Body:
+    """Spheres with their links and frames, the held ones last, at one moment."""
+
+    def __init__(self, body, setting):
+        self.setting, chain = setting, geometry_oracle.frames(body, setting.q[None])
+        R0, p0 = setting.base
+        self.frames = [(R0 @ R[0], p0 + R0 @ p[0]) for R, p in chain]
+        middle = 0.5 * (setting.low + setting.high)
+        step = 1e-4
+        self.centre, self.radius, self.link = self._spheres(body, setting.q)
+        ahead, behind = (self._spheres(body, setting.q + s * step * middle)[0] for s in (1, -1))
+        self.acceleration = (ahead - 2 * self.centre + behind) / step**2
+        frame_of = {link.name: link.frame for link in body.links} | {"held": body.n}
+        self.frame = np.array([frame_of[name] for name in self.link])
+        axes = np.array([R[:, 2] for R, _ in self.frames[1:]])
+        origins = np.array([p for _, p in self.frames[1:]])
+        self.jacobian = np.cross(axes[None], self.centre[:, None, :] - origins[None])  # (k, n, 3), all joints
+        self.joint = np.arange(body.n)
+
+    def _spheres(self, body, q):
+        R0, p0 = self.setting.base
+        c, r, names = geometry_oracle.centres(body, q[None], self.setting.opening)
+        held = self.setting.held
+        if len(held) > 0:
+            turn, offset = tool_frame(body)
+            R, p = geometry_oracle.frames(body, q[None])[-1]
+            local = held[:, :3] @ turn.T + offset
+            c = np.concatenate([c, (p[0] + local @ R[0].T)[None]], axis=1)
+            r = np.concatenate([r, held[:, 3]])
+            names = [*names, *["held"] * len(held)]
+        return p0 + c[0] @ R0.T, r, np.array(names)
+
+
+def normal_of(shape, pose, points):
+    """Outward unit normals (k, 3): the gradient of the distance."""
+    R = geometry_oracle.rotation(pose.quaternion)
+    local = (points - np.array(pose.position)) @ R
+    match shape:
+        case Sphere():
+            away = local
+        case Capsule(half_length=h):
+            away = local - np.stack([0 * local[:, 0], 0 * local[:, 0], np.clip(local[:, 2], -h, h)], axis=1)
+        case Box(half_extents=e):
+            away = local - np.clip(local, -np.array(e), np.array(e))
+            face = np.argmax(np.abs(local) - np.array(e), axis=1)
+            out = np.eye(3)[face] * np.where(local >= 0.0, 1.0, -1.0)
+            away = np.where(np.linalg.norm(away, axis=1, keepdims=True) < 1e-9, out, away)
+        case HalfSpace():
+            away = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    return (away / np.linalg.norm(away, axis=1, keepdims=True)) @ R.T
+
+
+def pairs(body, config, setting):
+    """All pairs that are kept apart or in permitted contact."""
+    spheres, parts = Body(body, setting), []
+    for j, thing in enumerate(setting.obstacles):
+        parts.append(_against(body, config, spheres, j, thing))
+    kept = [sorted(pair, key=lambda name: _frame(body, name)) for pair in body.self_pairs.kept]
+    for near, far in kept:
+        parts += _apart(body, config, spheres, near, far, 0.0)
+    if len(setting.held) > 0:
+        gripper = {link.name for link in body.links if link.group in ("hand", "fingers")}
+        for near in dict.fromkeys(near for near, far in kept if far in gripper):
+            parts += _apart(body, config, spheres, near, "held", setting.held_error)
+    return Pairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _frame(body, name):
+    return next(link.frame for link in body.links if link.name == name)
+
+
+def _against(body, config, spheres, j, thing):
+    """One obstacle against all spheres that move and that it is kept away from."""
+    setting = spheres.setting
+    known = {link.name for link in body.links if not thing.parts or {link.name, link.group} & set(thing.parts)}
+    known |= {"held"} if not thing.parts or "held" in thing.parts else set()
+    mine = np.flatnonzero((spheres.frame > 0) & np.isin(spheres.link, list(known)))
+    v = np.array(thing.velocity)
+    points = spheres.centre[mine] - v * setting.age
+    n = normal_of(thing.shape, thing.pose, points)
+    margin = thing.margin + thing.velocity_error * setting.age + config.sampling_margin + config.rounding_margin
+    margin = margin + np.where(spheres.link[mine] == "held", setting.held_error, 0.0)
+    h = geometry_oracle.surface_distance(thing.shape, thing.pose, points) - spheres.radius[mine] - margin
+    moves = spheres.joint[None] < spheres.frame[mine][:, None]
+    a = np.einsum("skx,sx->sk", spheres.jacobian[mine], n) * moves
+    permit = np.array([setting.permits.get((name, j), -1.0) for name in spheres.link[mine]])
+    cap = np.where(permit >= 0.0, -permit, config.recovery_speed)
+    alpha = thing.alpha or body.alpha
+    bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, spheres.acceleration[mine]))
+    b = np.minimum(-alpha * h, cap) + n @ v + np.where(permit >= 0.0, 0.0, thing.velocity_error)
+    b = b + bend + config.tracking_error * np.abs(a).sum(axis=1)
+    kind = np.full(len(mine), OBSTACLE)
+    return kind, mine, np.full(len(mine), j), h, a, b, permit >= 0.0
+
+
+def _apart(body, config, spheres, near, far, error):
+    """All pairs of spheres of two links; row i is the far sphere."""
+    s, i = np.flatnonzero(spheres.link == far), np.flatnonzero(spheres.link == near)
+    if len(s) == 0 or len(i) == 0 or spheres.frame[s[0]] == spheres.frame[i[0]]:
+        return []
+    s, i = (grid.ravel() for grid in np.meshgrid(s, i, indexing="ij"))
+    away = spheres.centre[s] - spheres.centre[i]
+    d = np.linalg.norm(away, axis=1)
+    n = away / d[:, None]
+    h = d - spheres.radius[s] - spheres.radius[i] - config.self_margin - config.sampling_margin
+    h = h - config.rounding_margin - error
+    between = (spheres.joint[None] < spheres.frame[s][:, None]) & (spheres.joint[None] >= spheres.frame[i][:, None])
+    a = np.einsum("skx,sx->sk", spheres.jacobian[s], n) * between
+    relative = spheres.acceleration[s] - spheres.acceleration[i]
+    bend = np.maximum(0.0, -0.5 * body.period * np.einsum("sx,sx->s", n, relative))
+    b = np.minimum(-(config.alpha_self or body.alpha) * h, config.recovery_speed) + bend
+    b = b + config.tracking_error * np.abs(a).sum(axis=1)
+    return [(np.full(len(s), SELF), s, i, h, a, b, np.zeros(len(s), bool))]

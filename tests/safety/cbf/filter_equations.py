@@ -1,0 +1,223 @@
+"""The rows of the filter once more, in numpy and float64, from the equations alone: every pair, nothing left out.
+
+    n'J u >= min(-alpha h, recovery) + n'v_o + velocity_error + tracking sum_k |n'J_k| + max(0, -dt/2 n'a)
+
+with h less its margins, a the second derivative of the centre along the middle of the box, both by finite differences.
+Contact permits put -max(speed, alpha h) in the place of the barrier; speed and separation asks for the tighter of both.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dualbrain.safety.cbf.filter import Contact, FilterConfig, Obstacle
+from tests.safety import geometry_oracle
+
+NUDGE = 1e-6
+
+
+@dataclass
+class Setting:
+    """All that the filter is told."""
+
+    body: object
+    config: FilterConfig
+    obstacles: list[Obstacle]
+    permits: list[Contact] = field(default_factory=list)
+    held: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    held_error: float = 0.0
+    rows: list = field(default_factory=list)
+    opening: float = 0.0
+    age: float = 0.0
+    extra: float = 0.0
+    known_only: bool = False
+
+
+def frames(body, q):
+    """Rotation and origin of frames 0..n; a joint turns about its z axis or slides along it."""
+    R, p = np.eye(3), np.zeros(3)
+    out = [(R, p)]
+    for joint, value in zip(body.joints, q, strict=True):
+        p = p + R @ np.array(joint.translation)
+        R = R @ geometry_oracle.rotation(joint.quaternion)
+        if joint.kind == "prismatic":
+            p = p + R[:, 2] * value
+        else:
+            c, s = np.cos(value), np.sin(value)
+            R = R @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        out.append((R, p))
+    return out
+
+
+def tool(body, q):
+    """Position and rotation of the tool."""
+    link = next(link for link in body.links if link.name == body.tool.link)
+    R, p = frames(body, q)[link.frame]
+    p, R = p + R @ np.array(link.translation), R @ geometry_oracle.rotation(link.quaternion)
+    return p + R @ np.array(body.tool.translation), R @ geometry_oracle.rotation(body.tool.quaternion)
+
+
+def centres(s, q):
+    """Centres (k, 3) of the body's spheres in the order of its links, held ones last."""
+    chain, points = frames(s.body, q), []
+    for link in s.body.links:
+        R, p = chain[link.frame]
+        R, p = R @ geometry_oracle.rotation(link.quaternion), p + R @ np.array(link.translation)
+        points += [
+            p + R @ (np.array(ball.centre) + s.opening * np.array(link.slide))
+            for ball in s.body.spheres
+            if ball.link == link.name
+        ]
+    p, R = tool(s.body, q)
+    return np.array([*points, *(p + s.held[:, :3] @ R.T)])
+
+
+def owners(s):
+    """Link index of every sphere (len(links): held), its radius, and the frame it moves with."""
+    link, radius = [], []
+    for index, part in enumerate(s.body.links):
+        radii = [ball.radius for ball in s.body.spheres if ball.link == part.name]
+        link += [index] * len(radii)
+        radius += radii
+    link += [len(s.body.links)] * len(s.held)
+    frame = np.array([*(part.frame for part in s.body.links), s.body.n])[link]
+    return np.array(link), np.array([*radius, *s.held[:, 3]]), frame
+
+
+def box(s, q, u_prev):
+    """Velocity limit, acceleration around u_prev, and joint position: min(alpha d, discrete braking)."""
+    c, dt = s.config, s.body.period
+    low, high = np.empty(s.body.n), np.empty(s.body.n)
+    for k, joint in enumerate(s.body.joints):
+        v, a = joint.velocity.value, joint.acceleration.value
+        floor, ceiling = max(-v, u_prev[k] - a * dt), min(v, u_prev[k] + a * dt)
+        above = joint.upper.value - c.rounding_margin - q[k]
+        below = q[k] - joint.lower.value - c.rounding_margin
+        low[k] = np.clip(-toward_limit(s, below, a), floor, ceiling)
+        high[k] = np.clip(toward_limit(s, above, a), low[k], ceiling)
+    return low, high
+
+
+def toward_limit(s, d, a):
+    """Greatest speed toward a joint limit at distance d: from it the joint can stop by a dt each period."""
+    dt, alpha = s.body.period, s.config.alpha_joint or s.config.alpha or s.body.alpha
+    if d <= 0.0:
+        return max(alpha * d, -4.0 * s.config.recovery_speed) - s.config.tracking_error
+    half = 0.5 * a * dt
+    return min(alpha * d, np.sqrt(half * half + 2.0 * a * d) - half) - s.config.tracking_error
+
+
+def gradients(s, q, middle):
+    """Jacobians (k, 3, n) of the centres, and their second derivative (k, 3) along `middle`."""
+    J = np.stack([
+        (centres(s, q + NUDGE * e) - centres(s, q - NUDGE * e)) / (2.0 * NUDGE) for e in np.eye(s.body.n)
+    ], axis=2)  # fmt: skip
+    step = 1e-4
+    here = centres(s, q)
+    bend = (centres(s, q + step * middle) - 2.0 * here + centres(s, q - step * middle)) / step**2
+    return here, J, bend
+
+
+def rows(s, q, u_prev):
+    """(A, b, h, about) of every pair, not divided by their norm; `about` = (kind, i, j) as in the kernel."""
+    low, high = box(s, q, u_prev)
+    here, J, bend = gradients(s, q, 0.5 * (low + high))
+    link, radius, frame = owners(s)
+    out = []
+    for j, thing in enumerate(s.obstacles):
+        if thing.known or not s.known_only:
+            out += _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high)
+    out += _self_rows(s, here, J, bend, link, radius, low, high)
+    out += [(np.array(row.a), row.b, row.h, ("user", i, 0)) for i, row in enumerate(s.rows)]
+    return low, high, out
+
+
+def _common(s):
+    return s.config.sampling_margin + s.config.rounding_margin + s.extra
+
+
+def _obstacle_rows(s, j, thing, here, J, bend, link, radius, frame, low, high):
+    c, v = s.config, np.array(thing.velocity)
+    points = here - v * s.age
+    gap = geometry_oracle.surface_distance(thing.shape, thing.pose, points)
+    n = np.stack([
+        (geometry_oracle.surface_distance(thing.shape, thing.pose, points + NUDGE * e)
+         - geometry_oracle.surface_distance(thing.shape, thing.pose, points - NUDGE * e)) / (2.0 * NUDGE) for e in np.eye(3)
+    ], axis=1)  # fmt: skip
+    alpha = thing.alpha or c.alpha or s.body.alpha
+    out = []
+    for i in np.flatnonzero(frame > 0):
+        if not kept_away(s, thing, link[i]):
+            continue
+        margin = (
+            thing.margin + thing.velocity_error * s.age + _common(s) + s.held_error * (link[i] == len(s.body.links))
+        )
+        h, permit = gap[i] - radius[i] - margin, permitted(s, thing.name, link[i])
+        a = n[i] @ J[i]
+        barrier = (
+            -max(permit, alpha * h) if permit is not None else min(-alpha * h, c.recovery_speed) + thing.velocity_error
+        )
+        b = barrier + n[i] @ v + max(0.0, -0.5 * s.body.period * (n[i] @ bend[i]))
+        if thing.separation is not None and permit is None:
+            b = max(b, -separation_speed(thing, h, n[i] @ v))
+        b += c.tracking_error * np.abs(a).sum()
+        if permit is not None or h < 0.0:
+            b = min(b, np.maximum(a * low, a * high).sum())
+        out.append((a, b, h + c.sampling_margin, ("obstacle", int(i), j)))
+    return out
+
+
+def _self_rows(s, here, J, bend, link, radius, low, high):
+    c = s.config
+    alpha = c.alpha_self or c.alpha or s.body.alpha
+    index = {part.name: k for k, part in enumerate(s.body.links)}
+    pairs = [sorted((index[a], index[b]), key=lambda k: s.body.links[k].frame) for a, b in s.body.self_pairs.kept]
+    hand = {near for near, far in pairs if s.body.links[far].group in ("hand", "fingers")}
+    out = []
+    for near, far in [*pairs, *((near, len(s.body.links)) for near in hand if len(s.held))]:
+        margin = c.self_margin + _common(s) + s.held_error * (far == len(s.body.links))
+        for i in np.flatnonzero(link == near):
+            for k in np.flatnonzero(link == far):
+                way = here[k] - here[i]
+                distance = np.linalg.norm(way)
+                n, h = way / distance, distance - radius[i] - radius[k] - margin
+                a = n @ (J[k] - J[i])
+                b = min(-alpha * h, c.recovery_speed) + max(0.0, -0.5 * s.body.period * (n @ (bend[k] - bend[i])))
+                b += c.tracking_error * np.abs(a).sum()
+                if h < 0.0:
+                    b = min(b, np.maximum(a * low, a * high).sum())
+                out.append((a, b, h + c.sampling_margin, ("self", int(k), int(i))))
+    return out
+
+
+def names(s, link):
+    """What a permit or a list of parts may call this link."""
+    return ("held",) if link == len(s.body.links) else (s.body.links[link].name, s.body.links[link].group)
+
+
+def permitted(s, obstacle, link):
+    """The contact speed of the last permit for this link and thing, or None."""
+    speeds = [c.speed for c in s.permits if c.obstacle == obstacle and c.robot_part in names(s, link)]
+    return speeds[-1] if speeds else None
+
+
+def kept_away(s, thing, link):
+    """Whether this thing is meant for this link."""
+    return not thing.parts or bool(set(thing.parts) & set(names(s, link)))
+
+
+def separation_speed(thing, d, approach):
+    """The v of d = v_h (T_r + v/a) + v T_r + v²/(2a), by bisection; 0 where none is left."""
+    apart = thing.separation
+    person = max(apart.approach, approach + thing.velocity_error, 0.0)
+
+    def needed(v):
+        return person * (apart.reaction + v / apart.brake) + v * apart.reaction + v * v / (2.0 * apart.brake)
+
+    low, high = 0.0, 1e3
+    if needed(0.0) >= d:
+        return 0.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed(middle) < d else (low, middle)
+    return low

@@ -1,0 +1,396 @@
+"""Laws of the filter: what is safe passes, what is not is moved least, bad input stops, contact needs a permit."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.core.geometry.rotations import rotation_error
+from dualbrain.core.geometry.shapes import Box, HalfSpace, Pose, Sphere
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.kernel import kernel_hash
+from dualbrain.safety.cbf.result import SPOKEN, Reason
+from tests.safety import random_scenes
+
+TABLE = Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)
+PANDA = load_body("panda")
+
+
+@pytest.fixture
+def safety(panda):
+    made = SafetyFilter(panda, random_scenes.config())
+    made.observe([TABLE], 0.0)
+    return made
+
+
+def drive(safety, at, q, nominal, steps, t=0.0):
+    """Closed loop; `nominal(q)` -> u_nom. Returns final q and the answers."""
+    answers = []
+    for k in range(steps):
+        now = t + k * 1e-3
+        answers.append(safety.filter(at(q, t=now), nominal(q), now))
+        q = q + 1e-3 * answers[-1].u
+    return q, answers
+
+
+def toward(safety, direction, speed):
+    return lambda q: np.linalg.pinv(safety.tool(q).jacobian) @ np.array([*(speed * np.array(direction)), 0, 0, 0])
+
+
+def straight(safety, goal, speed, rotation):
+    """A nominal that holds the rotation and goes straight to `goal` at up to `speed`."""
+
+    def nominal(q):
+        tool = safety.tool(q)
+        way = 4.0 * (goal - tool.position)
+        way *= min(1.0, speed / max(np.linalg.norm(way), 1e-9))
+        return np.linalg.pinv(tool.jacobian) @ np.concatenate([way, 4.0 * rotation_error(tool.rotation, rotation)])
+
+    return nominal
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**31))
+def test_a_strictly_safe_nominal_passes_bit_identical(seed):
+    rng = np.random.default_rng(seed)
+    safety = SafetyFilter(PANDA, random_scenes.config())
+    safety.observe([TABLE], 0.0)
+    step = np.array([j.acceleration.value for j in PANDA.joints]) * 1e-3
+    u_nom = rng.uniform(-0.99, 0.99, 7) * step
+    q = np.array(PANDA.home) + rng.uniform(-0.05, 0.05, 7)
+    state = type("S", (), {"q": q, "v": np.zeros(7), "opening": 0.02, "stamp": 0.0})()
+    answer = safety.filter(state, u_nom, 0.0)
+    if answer.h_min > 0.005:
+        assert np.array_equal(answer.u, u_nom.astype(np.float32).astype(np.float64))
+        assert (answer.delta, answer.status, answer.certified) == (0.0, Status.SAFE, True)
+
+
+def test_what_is_safe_is_left_alone(small, at):
+    for seed in range(3):
+        things = random_scenes.scene(small, np.random.default_rng(seed))
+        safety, again = (SafetyFilter(small, random_scenes.config()) for _ in range(2))
+        safety.observe(things, 0.0)
+        again.observe(things, 0.0)
+        run = random_scenes.closed_loop(safety, small.home, 1500, seed)
+        for k in range(100, 1500, 70):
+            u_prev, q, wish = run.u[k - 1], run.q[k - 1], np.sign(run.u[k]) * 2.0
+            safety.reset(u_prev)
+            again.reset(u_prev)
+            once = safety.filter(at(q), wish, 0.0)
+            twice = again.filter(at(q), once.u, 0.0)
+            np.testing.assert_allclose(twice.u, once.u, atol=2e-6)
+            assert twice.delta < 1e-6
+
+
+def test_answers_are_admissible_and_certified(small, at):
+    rng = np.random.default_rng(0)
+    things = random_scenes.scene(small, rng)
+    safety = SafetyFilter(small, random_scenes.config())
+    safety.observe(things, 0.0)
+    v_max = np.array([j.velocity.value for j in small.joints])
+    step = np.array([j.acceleration.value for j in small.joints]) * 1e-3
+    q, before = np.array(small.home), np.zeros(7)
+    for k in range(1500):
+        if k % 150 == 0:
+            wish = rng.choice([-1.0, 1.0], 7) * v_max
+        answer = safety.filter(at(q), wish, 0.0)
+        assert answer.status in (Status.SAFE, Status.MODIFIED)
+        assert answer.certified
+        assert np.all(np.abs(answer.u) <= v_max)
+        assert np.all(np.abs(answer.u - before) <= step * (1 + 1e-5) + 1e-7)
+        q, before = q + 1e-3 * answer.u, answer.u
+
+
+def test_the_table_stops_the_tool_and_the_reason_is_named(safety, panda, at):
+    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 2500)
+    last = answers[-1]
+    assert last.status is Status.MODIFIED
+    assert min(a.h_min for a in answers) > 0.0
+    assert any("table" in name for name, _, _ in last.active)
+    assert "'table'" in last.explain()
+    assert last.delta == pytest.approx(last.delta_rows + last.delta_box)
+
+
+def test_delta_is_the_weighted_distance(safety, panda, at):
+    u_nom = np.full(7, 2.0)
+    answer = safety.filter(at(panda.home), u_nom, 0.0)
+    v_max = np.array([j.velocity.value for j in panda.joints])
+    assert answer.delta == pytest.approx(np.sqrt(np.mean(((answer.u - u_nom) / v_max) ** 2)), rel=1e-5)
+    assert answer.delta_box > 0.95 * answer.delta  # a jump that φ itself could not have followed
+
+
+def test_projection_of_a_known_scene_passes_the_filter(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config(lag_compensation=True))
+    wall = Obstacle("wall", Box((0.02, 0.5, 0.5)), Pose((0.6, 0.0, 0.5)), known=True)
+    safety.observe([TABLE, wall], 0.0)
+    q, v, u_nom = np.array(panda.home), np.zeros(7), np.zeros(7)
+    rng = np.random.default_rng(1)
+    near = np.inf
+    for k in range(4000):
+        if k % 500 == 0:
+            wish = toward(safety, rng.normal(size=3), 0.4)
+        state = at(q, v, t=k * 1e-3)
+        u_nom = safety.project(state, wish(q), u_nom, k * 1e-3)
+        answer = safety.filter(state, u_nom, k * 1e-3)
+        assert np.array_equal(answer.u, u_nom)
+        assert answer.delta == 0.0
+        near = min(near, answer.h_min)
+        v = v + (answer.u - v) * 1e-3 / panda.tracking.lag
+        q = q + 1e-3 * v
+    assert 0.0 < near < 0.01
+
+
+def test_projection_does_not_know_the_unknown(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    tool = safety.tool(np.array(panda.home)).position
+    ball = Obstacle("ball", Sphere(0.03), Pose(tuple(tool + np.array([0.1, 0.0, 0.0]))))
+    safety.observe([ball], 0.0)
+    q, u_nom, deltas = np.array(panda.home), np.zeros(7), []
+    for _ in range(1200):
+        u_nom = safety.project(at(q), toward(safety, (1, 0, 0), 0.2)(q), u_nom, 0.0)
+        answer = safety.filter(at(q), u_nom, 0.0)
+        deltas.append(answer.delta)
+        q = q + 1e-3 * answer.u
+    assert max(deltas) > 0.01
+    assert answer.h_min >= 0.0
+
+
+def test_a_grasp_without_a_permit_is_stopped_and_with_one_closes_in_slowly(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    q0 = np.array(panda.home)
+    tool = safety.tool(q0)
+    thing = Obstacle("cube", Box((0.02, 0.04, 0.02)), Pose(tuple(tool.position + 0.12 * tool.rotation[:, 2])))
+    safety.observe([thing], 0.0)
+    goal = np.array(thing.pose.position)
+    ahead = straight(safety, goal, 0.05, tool.rotation)
+    q, answers = drive(safety, at, q0, ahead, 4000)
+    assert min(a.h_min for a in answers) >= 0.0
+    assert np.linalg.norm(safety.tool(q).position - goal) > 0.02
+    # the same with a permit: fingers and hand may touch at 2 cm/s
+    safety.permit([Contact("fingers", "cube", 0.02), Contact("hand", "cube", 0.02)])
+    q, _ = drive(safety, at, q0, ahead, 6000)
+    assert np.linalg.norm(safety.tool(q).position - goal) < 0.004, "with a permit the tool reaches the cube"
+    # the permit ends: the rows are back, and the arm is asked to leave
+    safety.permit([])
+    back = safety.filter(at(q), ahead(q), 0.0)
+    assert back.h_min < 0.0
+    assert back.status is not Status.SAFE
+
+
+def test_contact_speed_is_kept_at_contact(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    q = np.array(panda.home)
+    tool = safety.tool(q).position
+    height, touching = float(tool[2]) - 0.06, 0
+    pad = Pose((float(tool[0]), float(tool[1]), height - 0.05))
+    safety.observe([Obstacle("pad", Box((0.15, 0.15, 0.05)), pad)], 0.0)
+    safety.permit([Contact("fingers", "pad", 0.03), Contact("hand", "pad", 0.03)])
+    for _ in range(2000):
+        answer = safety.filter(at(q), toward(safety, (0, 0, -1), 0.3)(q), 0.0)
+        before, radii, groups = safety.spheres(q, 0.04)
+        q = q + 1e-3 * answer.u
+        speed = (before - safety.spheres(q, 0.04)[0])[:, 2] / 1e-3
+        near = (before[:, 2] - radii - height < 1e-3) & np.isin(groups, ("hand", "fingers"))
+        touching += np.any(near)
+        assert np.all(speed[near] < 0.03 + 1e-3)
+    assert touching > 30
+
+
+@pytest.mark.parametrize("real", ["float32", "float64"])
+def test_recovers_from_inside_an_obstacle(panda, at, real):
+    safety = SafetyFilter(panda, random_scenes.config(real=real))
+    q = np.array(panda.home)
+    tool = safety.tool(q).position
+    safety.observe([Obstacle("ball", Sphere(0.05), Pose(tuple(tool + np.array([0.07, 0.0, 0.08]))))], 0.0)
+    _, answers = drive(safety, at, q, lambda q: np.zeros(7), 4000)
+    h = np.array([a.h_min for a in answers])
+    assert h[0] < -0.005
+    assert np.all(np.diff(h) > -1e-6)
+    assert h[-1] > -1e-3
+    assert all(a.status in (Status.MODIFIED, Status.RELAXED, Status.SAFE) for a in answers)
+
+
+def test_moving_away_is_never_forbidden(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    q = np.array(panda.home)
+    tool = safety.tool(q).position
+    safety.observe([Obstacle("ball", Sphere(0.04), Pose(tuple(tool + np.array([0.05, 0.0, 0.0]))))], 0.0)
+    speed = []
+    for _ in range(400):
+        answer = safety.filter(at(q), toward(safety, (-1, 0, 0), 0.3)(q), 0.0)
+        speed.append((safety.tool(q).jacobian @ answer.u)[0])
+        q = q + 1e-3 * answer.u
+    assert min(speed) < -0.25
+
+
+def test_bad_input_stops_within_the_acceleration_box(safety, panda, at):
+    step = np.array([j.acceleration.value for j in panda.joints]) * 1e-3
+    nan, good = np.full(7, np.nan), np.array(panda.home)
+    u_prev = np.array([0.5, -0.3, 0.2, 0.0, 0.1, 0.4, -1.0])
+    outside = good.copy()
+    outside[3] = 1.0
+    cases = {
+        Reason.BAD_INPUT: [(at(nan), np.zeros(7), 0.0), (at(good, nan), np.zeros(7), 0.0), (at(good), nan, 0.0),
+                           (at(good, opening=np.inf), np.zeros(7), 0.0)],
+        Reason.STALE_STATE: [(at(good, t=0.0), np.zeros(7), 0.2), (at(good, t=0.3), np.zeros(7), 0.2),
+                             (at(good, t=0.0), np.zeros(7), np.nan)],
+        Reason.OUTSIDE_LIMITS: [(at(outside), np.zeros(7), 0.0)],
+    }  # fmt: skip
+    for reason, inputs in cases.items():
+        for state, u_nom, now in inputs:
+            safety.reset(u_prev)
+            answer = safety.filter(state, u_nom, now)
+            assert answer.status is Status.STOPPED
+            assert reason in answer.reason
+            assert not answer.certified
+            assert np.all(np.isfinite(answer.u))
+            assert np.all(np.abs(answer.u - u_prev) <= step * 1.0001)
+            assert np.all(np.abs(answer.u) <= np.abs(u_prev))
+            assert np.isfinite(answer.delta)
+            assert SPOKEN[reason.name] in answer.explain()
+
+
+def test_moving_obstacles_go_stale_and_static_ones_do_not(safety, panda, at):
+    ball = Obstacle("ball", Sphere(0.05), Pose((2.0, 0.0, 0.5)), velocity=(0.1, 0.0, 0.0), static=False)
+    state = at(panda.home, t=1.0)
+    safety.observe([TABLE], 0.0)
+    assert safety.filter(state, np.zeros(7), 1.0).status is Status.SAFE
+    safety.observe([TABLE, ball], 0.0)
+    assert Reason.STALE_SCENE in safety.filter(state, np.zeros(7), 1.0).reason
+    safety.observe([TABLE, ball], 0.8)
+    assert safety.filter(state, np.zeros(7), 1.0).status is Status.SAFE
+
+
+def test_obstacles_are_carried_forward_and_grow_with_age(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    tool = safety.tool(np.array(panda.home)).position
+    place = tuple(tool + np.array([0.3, 0.0, 0.0]))
+    moving = Obstacle("m", Sphere(0.05), Pose(place), velocity=(-0.2, 0.0, 0.0), velocity_error=0.1, static=False)
+    safety.observe([moving], 0.0)
+    early = safety.filter(at(panda.home, t=0.0), np.zeros(7), 0.0).h_min
+    safety.reset()
+    moved = Obstacle("m", Sphere(0.05), Pose((place[0] - 0.08, *place[1:])), margin=0.04)
+    late = safety.filter(at(panda.home, t=0.4), np.zeros(7), 0.4).h_min
+    safety.reset()
+    safety.observe([moved], 0.0)
+    assert late == pytest.approx(safety.filter(at(panda.home), np.zeros(7), 0.0).h_min, abs=1e-5)
+    assert late <= early
+
+
+def test_a_scene_with_a_hole_in_it_stops(safety, panda, at):
+    safety.observe([Obstacle("ghost", Sphere(0.05), Pose((np.nan, 0.0, 0.5)))], 0.0)
+    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    assert answer.status is Status.STOPPED
+    assert Reason.BAD_SCENE in answer.reason
+
+
+def test_two_things_closing_in_are_reported_as_conflicting(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    tool = safety.tool(np.array(panda.home)).position
+    pair = [
+        Obstacle(side, Sphere(0.05), Pose(tuple(tool + np.array([0.0, sign * 0.2, 0.0]))),
+                 velocity=(0.0, -sign * 0.8, 0.0), static=False)
+        for side, sign in (("left", 1.0), ("right", -1.0))
+    ]  # fmt: skip
+    safety.observe(pair, 0.0)
+    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    assert answer.status in (Status.RELAXED, Status.FAULT)
+    assert Reason.INFEASIBLE in answer.reason
+    assert len(answer.active) >= 2
+    assert all(weight >= -1e-6 for _, _, weight in answer.active)
+
+
+def test_yields_to_what_moves_toward_it(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    q = np.array(panda.home)
+    place = safety.tool(q).position + np.array([0.35, 0.0, 0.0])
+    least = np.inf
+    for k in range(2500):
+        x = place - np.array([0.1 * k * 1e-3, 0.0, 0.0])
+        safety.observe(
+            [Obstacle("cart", Sphere(0.05), Pose(tuple(x)), velocity=(-0.1, 0.0, 0.0), static=False)], k * 1e-3
+        )
+        answer = safety.filter(at(q, t=k * 1e-3), np.zeros(7), k * 1e-3)
+        least = min(least, answer.h_min)
+        q = q + 1e-3 * answer.u
+    assert least >= 0.0
+
+
+def test_a_base_on_a_table_and_a_mount_do_not_stop_the_robot(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    plate = Obstacle("plate", Box((0.2, 0.2, 0.05)), Pose((0.0, 0.0, -0.02)))
+    safety.observe([TABLE, plate], 0.0)
+    answer = safety.filter(at(panda.home), np.zeros(7), 0.0)
+    assert answer.status is Status.SAFE
+
+
+def test_something_over_the_arm_that_no_joint_can_leave_stops(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    safety.observe([Obstacle("block", Box((0.3, 0.3, 0.6)), Pose((0.0, 0.0, 0.6)), static=False)], 0.0)
+    answer = safety.filter(at(panda.home), np.full(7, 0.01), 0.0)
+    assert answer.status in (Status.STOPPED, Status.FAULT, Status.RELAXED)
+    assert not np.array_equal(answer.u, np.full(7, 0.01))
+
+
+def test_held_things_are_kept_from_obstacles_and_from_the_arm(panda, at):
+    safety = SafetyFilter(panda, random_scenes.config())
+    safety.observe([TABLE], 0.0)
+    bare = safety.filter(at(panda.home), np.zeros(7), 0.0).h_min
+    safety.attach(np.array([[0.0, 0.0, 0.38, 0.02]]), 0.0)
+    assert safety.filter(at(panda.home), np.zeros(7), 0.0).h_min < bare
+    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.2), 1500)
+    assert min(a.h_min for a in answers) >= 0.0
+    assert any(name.startswith("held") for name, _, _ in answers[-1].active)
+    safety.detach()
+    assert safety.filter(at(panda.home), np.zeros(7), 0.0).h_min == bare
+
+
+def test_wrong_programs_are_told(safety):
+    with pytest.raises(UnknownName, match="fingers"):
+        safety.permit([Contact("finger", "cup", 0.1)])
+    with pytest.raises(InvalidSetup):
+        safety.permit([Contact("fingers", "cup", float("nan"))])
+    with pytest.raises(InvalidSetup):
+        safety.attach(np.zeros((9, 4)), 0.0)
+    with pytest.raises(InvalidSetup):
+        safety.observe([TABLE] * 513, 0.0)
+    with pytest.raises(InvalidSetup):
+        SafetyFilter(PANDA, weight=-np.eye(7))
+
+
+def test_an_obstacle_steeper_than_the_tracking_budget_is_refused(panda):
+    """The rows keep the tracking error of the filter's own gain: a steeper row would promise what was not kept."""
+    steep = Obstacle("wall", Box((0.02, 1, 1)), Pose((0.8, 0, 0.5)), alpha=panda.alpha * 1.01)
+    with pytest.raises(InvalidSetup, match="'wall'"):
+        SafetyFilter(panda).observe([steep])
+    SafetyFilter(panda).observe([Obstacle("wall", steep.shape, steep.pose, alpha=panda.alpha)])
+    SafetyFilter(panda, random_scenes.config(tracking_error=0.01)).observe([steep])
+
+
+def test_a_permit_for_what_is_not_there_lifts_nothing(safety, panda, at):
+    safety.permit([Contact("fingers", "gone", 0.1)])
+    _, answers = drive(safety, at, np.array(panda.home), toward(safety, (0, 0, -1), 0.3), 1500)
+    assert min(a.h_min for a in answers) >= 0.0
+
+
+def test_unfiltered_is_the_nominal(safety, panda, at):
+    u_nom = np.full(7, 1.0)
+    bare = safety.filter(at(panda.home), u_nom, 0.0).unfiltered()
+    assert np.array_equal(bare.u, u_nom)
+    assert (bare.delta, bare.certified) == (0.0, False)
+
+
+def test_a_general_weight_moves_the_answer(panda, at):
+    weight = np.diag([100.0, 1, 1, 1, 1, 1, 1])
+    plain, other = SafetyFilter(panda, random_scenes.config()), SafetyFilter(panda, random_scenes.config(), weight=weight)
+    ends = []
+    for safety in (plain, other):
+        safety.observe([TABLE], 0.0)
+        ends.append(drive(safety, at, np.array(panda.home), toward(safety, (0.3, 0.3, -1), 0.3), 1500)[0])
+    assert np.max(np.abs(ends[0] - ends[1])) > 1e-3
+
+
+def test_the_kernel_has_a_hash():
+    assert len(kernel_hash()) == 16

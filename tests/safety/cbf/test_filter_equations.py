@@ -1,0 +1,175 @@
+"""The filter against its equations: the answer is the nearest control under every row that numpy writes down.
+
+The reference leaves no pair out and knows no kernel; an independent solver (DAQP) finds its nearest control. Wrong
+rows, culled rows that could bind, units, margins, indices and the box all end as another control.
+"""
+
+from ctypes import c_int
+
+import daqp
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.core.geometry.shapes import Box, Capsule, HalfSpace, Pose, Sphere
+from dualbrain.safety.cbf.filter import Contact, Obstacle, SafetyFilter, Status
+from dualbrain.safety.cbf.obstacles import Separation
+from dualbrain.safety.cbf.rows import Row
+from tests.safety import random_scenes
+from tests.safety.cbf import filter_equations
+
+
+def sliding(body):
+    """The first two joints slide: a gantry under the rest of the arm."""
+    joints = list(body.joints)
+    for k in range(2):
+        low, high = (msgspec.structs.replace(b, value=v) for b, v in ((joints[k].lower, -0.4), (joints[k].upper, 0.4)))
+        joints[k] = msgspec.structs.replace(joints[k], kind="prismatic", lower=low, upper=high)
+    return msgspec.structs.replace(body, joints=tuple(joints))
+
+
+def near(point, rng, far=0.2):
+    """A place beside `point`."""
+    way = rng.normal(size=3)
+    return tuple((point + way / np.linalg.norm(way) * rng.uniform(0.1, far)).tolist())
+
+
+def things(s, q, rng, *, moving=False):
+    """A table, and every shape beside random spheres of the body."""
+    points = filter_equations.centres(s, q)[5:]
+    sizes = rng.uniform(0.02, 0.06, 12)
+    shapes = [Sphere(sizes[0]), Capsule(*sizes[1:3]), Box(tuple(sizes[3:6])), Sphere(sizes[6]), Box(tuple(sizes[7:10]))]
+    shapes.append(Capsule(*sizes[10:]))
+    velocity = tuple(rng.uniform(-0.1, 0.1, 3)) if moving else (0.0, 0.0, 0.0)
+    more = {"velocity": velocity, "velocity_error": 0.01 * moving, "static": not moving}
+    out = [Obstacle("table", HalfSpace(), Pose((0.0, 0.0, 0.0)), known=True)]
+    for k, shape in enumerate(shapes):
+        pose = Pose(near(points[rng.integers(len(points))], rng), random_scenes.quaternion(rng))
+        out.append(Obstacle(f"t{k}", shape, pose, margin=0.002 * k, known=k % 2 == 0, **more))
+    return out
+
+
+def told(s):
+    """A float64 filter that knows the setting."""
+    safety = SafetyFilter(s.body, s.config)
+    safety.observe(s.obstacles, 0.0)
+    safety.permit(s.permits)
+    safety.constrain(s.rows)
+    if len(s.held):
+        safety.attach(s.held, s.held_error)
+    return safety
+
+
+def unit_rows(rows):
+    """A (m, n) and b (m,) of rows that a control can act upon, of length one."""
+    A, b = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    norm = np.linalg.norm(A, axis=1)
+    keep = norm > 1e-4
+    return A[keep] / norm[keep, None], b[keep] / norm[keep]
+
+
+def nearest(s, low, high, A, b, u_nom):
+    """The control nearest to u_nom under all rows, or None."""
+    R = np.diag([1.0 / joint.velocity.value**2 for joint in s.body.joints])
+    upper, lower = np.concatenate([high, np.full(len(b), 1e30)]), np.concatenate([low, b])
+    x, _, flag, _ = daqp.solve(R, -R @ u_nom, np.ascontiguousarray(A), upper, lower, np.zeros(len(upper), dtype=c_int))
+    return x if flag == 1 else None
+
+
+def compare(s, q, u_prev, u_nom, at):
+    """The filter's answer beside the reference's; whether rows of the reference were binding."""
+    safety = told(s)
+    safety.reset(u_prev)
+    low, high, rows = filter_equations.rows(s, q, u_prev)
+    A, b = unit_rows(rows)
+    wanted = nearest(s, low, high, A, b, u_nom)
+    if s.known_only:
+        u = safety.project(at(q, t=s.age, opening=s.opening), u_nom, u_prev, s.age)
+    else:
+        answer = safety.filter(at(q, t=s.age, opening=s.opening), u_nom, s.age)
+        u = answer.u
+        measured = [row[2] for row in rows if row[3][0] != "user" and not lifted(s, row)]
+        assert answer.h_min == pytest.approx(min(10.0, *measured), abs=2e-6)
+        assert answer.n_rows <= len(safety.rows())
+        if answer.status not in (Status.SAFE, Status.MODIFIED):
+            assert wanted is None or answer.status is Status.FAULT
+            return False
+        assert np.min(A @ u - b) > -2e-5
+    if wanted is None:
+        return False
+    np.testing.assert_allclose(u, wanted, atol=3e-5)
+    return bool(np.any(np.abs(wanted - np.clip(u_nom, low, high)) > 1e-4))
+
+
+def lifted(s, row):
+    kind, i, j = row[3]
+    link = filter_equations.owners(s)[0][i]
+    return kind == "obstacle" and filter_equations.permitted(s, s.obstacles[j].name, link) is not None
+
+
+def drive(s, q, rng, at, steps=400, every=50):
+    """(q, u_prev, u_nom) along a closed loop: anywhere at full speed, or straight at what is near."""
+    safety, n = told(s), s.body.n
+    v = np.array([joint.velocity.value for joint in s.body.joints])
+    u = np.zeros(n)
+    for step in range(steps):
+        if step % every == 0:
+            near_rows = safety.rows() if rng.random() < 0.7 else ()
+            wish = v * rng.choice([-1.0, 1.0], n)
+            if near_rows:
+                wish = -v * np.sign(min(near_rows, key=lambda row: row.h).a)
+        if step % every == every - 1:
+            yield q.copy(), u.copy(), wish
+        state = at(q, t=s.age, opening=s.opening)
+        u = safety.project(state, wish, u, s.age) if s.known_only else safety.filter(state, wish, s.age).u
+        q = q + s.body.period * u
+
+
+def setting(kind, body, q, rng):
+    """One setting of each kind of row."""
+    config = random_scenes.config(real="float64", tracking_error=0.003, self_margin=0.002)
+    s = filter_equations.Setting(body, config, [], opening=0.03)
+    s.obstacles = things(s, q, rng, moving=kind in ("moving", "separation"))
+    if kind == "moving":
+        s.age = 0.2
+    if kind == "permits":
+        s.permits = [Contact("hand", "t0", 0.03), Contact("fingers", "t1", 0.0), Contact("link5", "t2", 0.1)]
+    if kind == "held":
+        places = rng.uniform(-0.03, 0.03, (4, 3)) + np.array([0.0, 0.0, 0.06])
+        s.held = np.column_stack([places, rng.uniform(0.01, 0.04, 4)])
+        s.held_error = 0.003
+    if kind == "user":
+        s.rows = [
+            Row(f"r{k}", tuple(rng.normal(size=body.n).tolist()), float(rng.uniform(-1.5, -0.4))) for k in range(3)
+        ]
+    if kind == "separation":
+        s.obstacles = [
+            msgspec.structs.replace(o, separation=Separation(0.1, 1.0, 0.05 * k)) if k % 2 else o
+            for k, o in enumerate(s.obstacles)
+        ]
+    if kind == "parts":
+        s.obstacles = [
+            msgspec.structs.replace(o, parts=("hand", "link6") if k % 2 else (), alpha=1.7 if k == 3 else None)
+            for k, o in enumerate(s.obstacles)
+        ]
+    if kind == "known":
+        s.known_only, s.extra = True, config.projection_margin
+    if kind == "gains":
+        s.config = msgspec.structs.replace(config, alpha=1.3, alpha_self=2.1, alpha_joint=0.9)
+    return s
+
+
+KINDS = ["still", "moving", "permits", "held", "user", "separation", "parts", "known", "gains", "sliding"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_answer_is_the_nearest_control_under_all_rows(small, at, kind):
+    body = sliding(small) if kind == "sliding" else small
+    rng, bound = np.random.default_rng(KINDS.index(kind)), 0  # bound: moments at which a row did bind
+    while bound < 4:
+        q = np.array(body.home) + rng.uniform(-0.5, 0.5, body.n)
+        if kind == "sliding":
+            q[:2] = rng.uniform(-0.3, 0.3, 2)
+        s = setting(kind, body, q, rng)
+        if told(s).filter(at(q, t=s.age, opening=s.opening), np.zeros(body.n), s.age).h_min > 0.003:
+            bound += sum(compare(s, *moment, at) for moment in drive(s, q, rng, at))

@@ -1,0 +1,72 @@
+"""The jerk box: the change of acceleration stays in its limit, and the promises beside it stay as they are."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.cbf.filter import SafetyFilter, Status
+from dualbrain.safety.cbf.result import Reason
+from tests.safety import geometry_oracle, random_scenes
+
+
+def test_a_body_without_jerk_limits_says_so(small):
+    bare = tuple(msgspec.structs.replace(joint, jerk=None) for joint in small.joints)
+    with pytest.raises(InvalidSetup, match="jerk"):
+        SafetyFilter(msgspec.structs.replace(small, joints=bare), random_scenes.config(jerk_limits=True))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jerk_stays_in_its_limit_under_an_adversary(small, seed):
+    rng = np.random.default_rng(seed)
+    things = random_scenes.scene(small, rng, 8)
+    safety = SafetyFilter(small, random_scenes.config(jerk_limits=True))
+    safety.observe(things)
+    v_max = np.array([joint.velocity.value for joint in small.joints])
+    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
+    q, log, yielded, u, before = np.array(small.home), [], 0, np.zeros(7), np.zeros(7)
+    for tick in range(4000):
+        if tick % 250 == 0:
+            wish = np.where(rng.random(7) < 0.5, -1.0, 1.0) * v_max
+        answer = safety(q, np.zeros(7), wish)
+        jerk = np.abs(answer.u - 2.0 * u + before)
+        if Reason.JERK in answer.reason:
+            yielded += 1
+        elif answer.status is not Status.RELAXED:
+            assert np.all(jerk <= limit * (1 + 1e-3) + 2e-6)
+        u, before = answer.u, u
+        q = q + small.period * u
+        log.append(q)
+    assert yielded < 40
+    log = np.array(log)
+    assert min(geometry_oracle.h_obstacles(small, log, things).min(), geometry_oracle.h_self(small, log).min()) >= 0.0
+    assert geometry_oracle.h_joints(small, log).min() >= 0.0
+
+
+def test_without_the_box_jerk_is_larger(small):
+    safety = SafetyFilter(small, random_scenes.config())
+    limit = np.array([joint.jerk.value for joint in small.joints]) * small.period**2
+    first = safety(np.array(small.home), np.zeros(7), np.full(7, 2.0)).u
+    assert np.any(np.abs(first) > 1.5 * limit)
+
+
+def test_the_limit_that_binds_is_called_by_its_name(small):
+    """Full speed from rest, then back: jerk, acceleration and velocity in turn, each as its formula says."""
+    safety = SafetyFilter(small, random_scenes.config(jerk_limits=True, real="float64"))
+    first = small.joints[0]
+    dt, v_max, a_max, j_max = small.period, first.velocity.value, first.acceleration.value, first.jerk.value
+    seen, u, before = [], 0.0, 0.0
+    for tick in range(2000):
+        way = 1.0 if tick < 60 else -1.0  # turned back while it still accelerates
+        answer = safety(np.array(small.home), np.zeros(7), np.array([9.0 * way, 0, 0, 0, 0, 0, 0]))
+        bounds = {
+            "velocity": way * v_max, "acceleration": u + way * a_max * dt,
+            "jerk": 2.0 * u - before + way * j_max * dt**2,
+        }  # fmt: skip
+        for name in (name for name, _, _ in answer.active if name.startswith(first.name + " ")):
+            kind = name.split()[1]
+            assert answer.u[0] == pytest.approx(bounds[kind], abs=1e-3 * a_max * dt), kind
+            seen.append((kind, way))
+        before, u = u, float(answer.u[0])
+    assert {kind for kind, _ in seen} == {"velocity", "acceleration", "jerk"}
+    assert seen.count(("jerk", -1.0)) > 1, "also while the acceleration changes"

@@ -1,0 +1,141 @@
+"""Rows that are left out because the answer is expected elsewhere: the answer is that of all rows, wherever it lies.
+
+The nominal control jumps every few steps, so that the answer is found where it was, where it turns up next, and by the
+whole box; the box is wide, as it is without acceleration limits or with long control periods. An independent solver
+(DAQP) gets every row that the filter can state.
+"""
+
+from ctypes import c_int
+
+import daqp
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.core.geometry.shapes import Pose, Sphere
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.cbf.filter import Obstacle, SafetyFilter, Status
+from tests.safety import random_scenes
+
+
+def optimum(A, b, lower, upper, u_nom, v_max):
+    """min Σ ((u − u_nom)/v_max)² s.t. A u ≥ b within the box; None where there is none."""
+    n = len(u_nom)
+    H = np.diag(v_max**-2.0)
+    top, bottom = np.concatenate([upper, np.full(len(b), 1e30)]), np.concatenate([lower, b])
+    u, _, flag, _ = daqp.solve(H, -H @ u_nom, np.ascontiguousarray(A), top, bottom, np.zeros(n + len(b), c_int))
+    return np.array(u) if flag == 1 else None
+
+
+def crowd(body, rng, count):
+    """Balls around the arm at home, none nearer than 4 cm."""
+    centres, radii, _ = SafetyFilter(body).spheres(np.array(body.home), 0.0)
+    things = []
+    while len(things) < count:
+        at = rng.uniform([0.1, -0.6, 0.0], [0.9, 0.6, 1.0])
+        if 0.04 < np.min(np.linalg.norm(centres - at, axis=1) - radii) - 0.04 < 0.3:
+            things.append(Obstacle(f"o{len(things)}", Sphere(0.04), Pose(tuple(at.tolist()))))
+    return things
+
+
+def loop(safety, rng, steps, hold):
+    """(answer, u_nom) along a bang-bang closed loop."""
+    body = safety.body
+    v_max = np.array([joint.velocity.value for joint in body.joints])
+    q, wish, rest = np.array(body.home), np.zeros(body.n), np.zeros(body.n)
+    for step in range(steps):
+        if step % hold == 0:
+            wish = v_max * rng.choice([-1.0, 1.0, 0.3], body.n)
+        answer = safety(q, rest, wish)
+        yield answer, wish, v_max
+        q = q + body.period * answer.u
+
+
+@pytest.mark.parametrize("period", [1e-3, 2e-2], ids=["no acceleration limits", "long periods"])
+def test_the_answer_is_that_of_all_rows(small, period):
+    rng, body = np.random.default_rng(3), msgspec.structs.replace(small, period=period)
+    config = random_scenes.config(real="float64", acceleration_limits=period > 1e-3, alpha=small.alpha)
+    safety = SafetyFilter(body, config)
+    safety.observe(crowd(body, rng, 12))
+    modified = left_out = 0
+    for answer, u_nom, v_max in loop(safety, rng, 300, 9):
+        rows, (low, high) = safety.rows(), safety._kernel.box()
+        if answer.status not in (Status.SAFE, Status.MODIFIED):
+            continue
+        A, b = np.array([row.a for row in rows]).reshape(-1, body.n), np.array([row.b for row in rows])
+        best = optimum(A, b, np.array(low), np.array(high), u_nom, v_max)
+        assert len(rows) < 512, "else the readout is not complete"
+        assert best is not None
+        np.testing.assert_allclose(answer.u, best, atol=3e-5)
+        modified += bool(np.max(np.abs(answer.u - u_nom)) > 1e-3)
+        left_out += answer.n_rows < len(rows) / 2
+    assert modified > 100
+    assert left_out > 100
+
+
+def test_a_safe_nominal_passes_bit_for_bit_wherever_the_last_control_was(small):
+    """A nominal that meets all rows comes back unchanged, also right after a step that was far from it."""
+    rng = np.random.default_rng(5)
+    safety = SafetyFilter(small, random_scenes.config(acceleration_limits=False, alpha=small.alpha))
+    safety.observe(crowd(small, rng, 25))
+    q, rest, passed = np.array(small.home), np.zeros(small.n), 0
+    v_max = np.array([joint.velocity.value for joint in small.joints])
+    for _ in range(60):
+        safety(q, rest, v_max * rng.choice([-1.0, 1.0], small.n))
+        gentle = np.float32(rng.uniform(-0.05, 0.05, small.n)).astype(float)
+        answer = safety(q, rest, gentle)
+        if answer.status is Status.SAFE:
+            passed += 1
+            assert answer.delta == 0.0
+            assert np.array_equal(answer.u, gentle)
+    assert passed > 30
+
+
+def test_hundreds_of_things(panda):
+    """400 balls against every sphere of the body, with a certificate."""
+    safety = SafetyFilter(panda)
+    safety.observe(crowd(panda, np.random.default_rng(7), 400))
+    answers = [answer for answer, _, _ in loop(safety, np.random.default_rng(8), 60, 20)]
+    assert all(answer.certified for answer in answers)
+    assert min(answer.h_min for answer in answers) >= 0.0
+
+
+@pytest.mark.parametrize(("which", "value"), [(0, np.zeros(6)), (1, np.zeros((7, 1))), (2, np.zeros(8)), (2, "fast")])
+def test_arrays_of_another_shape_are_named(panda, which, value):
+    given = [np.array(panda.home), np.zeros(7), np.zeros(7)]
+    given[which] = value
+    with pytest.raises(InvalidSetup, match=("q", "v", "u_nom")[which]) as told:
+        SafetyFilter(panda)(*given)
+    assert "(7,)" in told.value.allowed
+    assert told.value.got == (value if isinstance(value, str) else value.shape)
+
+
+def test_lists_and_other_numbers_are_read(panda):
+    safety = SafetyFilter(panda)
+    answer = safety(list(panda.home), [0] * 7, np.zeros(7, np.float32))
+    assert answer.status is Status.SAFE
+    assert answer.u_nom.dtype == np.float64
+
+
+def test_a_refused_input_measures_nothing(panda):
+    safety = SafetyFilter(panda)
+    safety.observe([Obstacle("ball", Sphere(0.05), Pose((0.5, 0.0, 0.5)))])
+    fine = safety(np.array(panda.home), np.zeros(7), np.zeros(7))
+    refused = safety(np.array(panda.home), np.zeros(7), np.full(7, np.nan))
+    assert np.isfinite(fine.h_min)
+    assert refused.status is Status.STOPPED
+    assert np.isnan(refused.h_min)
+    assert safety.rows() == ()
+
+
+def test_rows_are_told_by_name(panda):
+    safety = SafetyFilter(panda)
+    safety.observe([Obstacle("ball", Sphere(0.05), Pose((0.4, 0.0, 0.75)))])
+    answer = safety(np.array(panda.home), np.zeros(7), np.zeros(7))
+    rows = safety.rows()
+    assert rows
+    nearest = min(rows, key=lambda row: row.h)
+    assert nearest.h == answer.h_min
+    assert nearest.name.endswith("vs 'ball'")
+    assert nearest.barrier == "obstacle"
+    assert np.linalg.norm(nearest.a) == pytest.approx(1.0, abs=1e-6)

@@ -1,0 +1,318 @@
+"""A filtered environment: a proper one, and no policy brings any h below zero in it; in the bare one they do."""
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dualbrain.core.geometry.shapes import Pose, Sphere
+from dualbrain.errors import InvalidSetup
+from dualbrain.safety.cbf.filter import FilterConfig, Obstacle, SafetyFilter, Status
+from dualbrain.safety.integration.derating import driven
+from dualbrain.safety.integration.gym_env import FilteredEnv
+from dualbrain.safety.integration.shadow_mode import Shadow
+from tests.safety.integration.gym_environments import (
+    EXACT,
+    PANDA,
+    PERIOD,
+    SLOW,
+    THINGS,
+    TORQUE,
+    V_MAX,
+    Push,
+    Reach,
+    filtered_by,
+    least,
+)
+
+SPEEDS = {"wish": lambda action: np.asarray(action, float) * V_MAX, "act": lambda u, _: (u / V_MAX).astype(np.float32)}
+TOLERANCE = 2e-6
+"""Float32 of the action and its scaling, on a joint's way in one period [rad or m]."""
+
+
+def velocity_env(length=300, safety=None, **more):
+    return FilteredEnv(Reach(length), safety or filtered_by(), **(SPEEDS | more))
+
+
+def random_policy(rng):
+    """A new direction at full speed every 60 steps."""
+    wish = np.zeros(7)
+    for step in range(10**6):
+        if step % 60 == 0:
+            wish = rng.choice([-1.0, 1.0], 7)
+        yield lambda _, wish=wish: wish
+
+
+def adversary(rng, safety):
+    """Drives the tool at one of the things, another one every 60 steps."""
+    for step in range(10**6):
+        if step % 60 == 0:
+            target = np.array(THINGS[1 + rng.integers(2)].pose.position) + rng.normal(0.0, 0.05, 3)
+
+        def toward(q, target=target):
+            tool = safety.tool(q)
+            wish = np.linalg.pinv(tool.jacobian[:3]) @ (target - tool.position)
+            return np.clip(wish / max(np.abs(wish).max(), 1e-9) * 1.2, -1.0, 1.0)
+
+        yield toward
+
+
+def path(env, policy, steps, scale=1.0):
+    """Joint angles after each step, and the infos."""
+    env.reset(seed=1)
+    visited, infos = [], []
+    for _, choose in zip(range(steps), policy, strict=False):
+        wish = scale * choose(env.unwrapped.q)
+        _, _, terminated, truncated, info = env.step(np.asarray(wish, np.float32))
+        visited.append(env.unwrapped.q)
+        infos.append(info)
+        if terminated or truncated:
+            env.reset()
+    return np.array(visited), infos
+
+
+@pytest.mark.parametrize("name", ["random", "adversary"])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_velocity_policy_brings_h_below_zero(name, seed):
+    def policy():
+        rng = np.random.default_rng(seed)
+        return random_policy(rng) if name == "random" else adversary(rng, SafetyFilter(SLOW))
+
+    guarded, infos = path(velocity_env(10**6), policy(), 600)
+    assert least(guarded) > -TOLERANCE
+    assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
+    assert max(info["cost"] for info in infos) > 0.05
+    bare, _ = path(Reach(10**6), policy(), 600)
+    assert least(bare) < -0.01
+
+
+def test_infos_are_what_the_filter_says_by_hand():
+    env, twin = velocity_env(10**6), filtered_by()
+    observation, _ = env.reset(seed=3)
+    twin.reset()
+    for step, choose in zip(range(150), random_policy(np.random.default_rng(8)), strict=False):
+        action = choose(None).astype(np.float32)
+        mine = twin(observation[:7], observation[7:14], action.astype(float) * V_MAX, step * PERIOD)
+        observation, _, _, _, info = env.step(action)
+        assert (info["cost"], info["h_min"], info["status"]) == (mine.delta, mine.h_min, mine.status.name)
+        assert info["safety"] == mine.explain()
+        assert info["cost_rows"] == mine.delta_rows
+        np.testing.assert_allclose(info["applied"], mine.u / V_MAX, atol=1e-7)
+        np.testing.assert_allclose(env.unwrapped.v, mine.u, atol=1e-6)
+
+
+def test_a_slow_policy_holds_its_action_and_the_filter_stays_fast():
+    fast, slow = velocity_env(10**6), velocity_env(10**6, hold=4)
+    (_, _), (_, _) = fast.reset(seed=2), slow.reset(seed=2)
+    for choose in adversary_actions(80):
+        steps = [fast.step(choose) for _ in range(4)]
+        observation, reward, _, _, info = slow.step(choose)
+        told = [step[4] for step in steps]
+        np.testing.assert_array_equal(observation, steps[-1][0])
+        assert reward == pytest.approx(sum(step[1] for step in steps))
+        assert info["cost"] == pytest.approx(np.mean([one["cost"] for one in told]))
+        assert info["h_min"] == min(one["h_min"] for one in told)
+        assert info["status"] == max((one["status"] for one in told), key=lambda name: Status[name])
+        assert info["safety"] == max(told, key=lambda one: one["cost"])["safety"]
+    assert info["status"] == "MODIFIED"
+
+
+def adversary_actions(count):
+    rng = np.random.default_rng(6)
+    return [rng.choice([-1.0, 1.0], 7).astype(np.float32) for _ in range(count // 8) for _ in range(8)]
+
+
+def test_a_held_action_ends_with_the_episode():
+    env = velocity_env(length=10, hold=4)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(7, np.float32))[3] for _ in range(3)]
+    assert ends == [False, False, True]
+    assert env.unwrapped._steps == 10
+
+
+def test_a_safe_action_passes_untouched():
+    env = velocity_env()
+    env.reset(seed=0)
+    action = np.full(7, 0.01, np.float32)
+    _, _, _, _, info = env.step(action)
+    assert info["applied"] is action
+    assert (info["cost"], info["status"]) == (0.0, "SAFE")
+
+
+def test_reset_forgets_the_last_control():
+    env = velocity_env()
+    first = []
+    for _ in range(2):
+        env.reset(seed=5)
+        first.append([env.step(np.ones(7, np.float32))[4]["applied"] for _ in range(20)])
+    np.testing.assert_array_equal(*first)
+
+
+@pytest.mark.filterwarnings("ignore:.*(different from the unwrapped|not having a spec):UserWarning")
+def test_it_is_a_proper_environment():
+    check_env(Reach())
+    check_env(velocity_env())
+    check_env(velocity_env(safety=Shadow(filtered_by())))
+
+
+def test_a_shadow_only_watches():
+    told = []
+    watched = velocity_env(10**6, Shadow(filtered_by(), told=told.append))
+    policy = [adversary(np.random.default_rng(2), SafetyFilter(SLOW)) for _ in range(2)]
+    seen, infos = path(watched, policy[0], 300)
+    bare, _ = path(Reach(10**6), policy[1], 300)
+    assert np.array_equal(seen, bare)
+    assert all(info["status"] in {status.name for status in Status} for info in infos)
+    assert watched.shadow.close().changed == sum(
+        info["cost"] > 1e-4 or Status[info["status"]] > Status.MODIFIED for info in infos
+    )
+    assert told
+    assert min(info["h_min"] for info in infos) < -0.01
+
+
+def test_open_fingers_reach_farther():
+    tool = SafetyFilter(PANDA).tool(np.array(PANDA.home))
+    ball = Obstacle("ball", Sphere(0.02), Pose(tuple(tool.position + 0.09 * tool.rotation[:, 1])))
+    h = {}
+    for opening in (0.0, 0.04):
+        env = velocity_env(safety=filtered_by(things=[ball]), opening=lambda _, opening=opening: opening)
+        env.reset(seed=0)
+        h[opening] = env.step(np.zeros(7, np.float32))[4]["h_min"]
+        assert h[opening] == pytest.approx(least(np.array([PANDA.home]), [ball], opening), abs=2e-5)
+    assert h[0.04] < h[0.0] - 0.005
+
+
+def test_moving_things_are_seen_in_every_step():
+    """A ball comes down at the hand at 10 cm/s; the policy wants to stand still."""
+    start = SafetyFilter(SLOW).tool(np.array(PANDA.home)).position + np.array([0.0, 0.0, 0.35])
+
+    def ball(now):
+        place = tuple(start - np.array([0.0, 0.0, 0.1 * now]))
+        return Obstacle("ball", Sphere(0.05), Pose(place), (0.0, 0.0, -0.1), static=False)
+
+    env = velocity_env(10**6, SafetyFilter(SLOW, EXACT), scene=lambda _, now: [ball(now)])
+    env.reset(seed=0)
+    h = []
+    for step in range(700):
+        _, _, _, _, info = env.step(np.zeros(7, np.float32))
+        if step % 10 == 0:
+            h.append(least(env.unwrapped.q[None], [ball((step + 1) * PERIOD)]))
+    assert info["status"] == "MODIFIED"
+    assert "'ball'" in info["safety"]
+    assert min(h) > -TOLERANCE
+
+
+def test_what_would_break_the_promise_is_refused():
+    with pytest.raises(InvalidSetup, match="one step of the environment"):
+        FilteredEnv(Reach(), SafetyFilter(driven(PANDA, speed=1.5)), **SPEEDS)
+    with pytest.raises(InvalidSetup, match="action space") as narrow:
+        FilteredEnv(Reach(), SafetyFilter(SLOW))  # its actions, taken for rad/s, end at 1
+    assert "wish" in narrow.value.fix
+    for wrong in ({"period": 0.0}, {"period": 0.02}, {"speed": 0.0}, {"speed": 9.0}, {"speed": [1.0] * 6 + [np.nan]}):
+        with pytest.raises(InvalidSetup):
+            driven(PANDA, **wrong)
+    assert driven(PANDA) is PANDA
+
+
+def test_without_gymnasium_the_extra_is_named():
+    code = "import sys; sys.modules['gymnasium'] = None; import dualbrain.safety.integration.gym_env"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert (
+        "MissingPart: The package gymnasium is missing. Install it with `pip install 'dualbrain[gym]'`." in done.stderr
+    )
+
+
+# --- torques ------------------------------------------------------------------------------------------------------
+
+FLOOR = (THINGS[0],)
+PUSHED = FilterConfig(lag_compensation=False, tracking_error=0.02)
+
+
+def torque_env(length=10**6, shadow=False):
+    bare = Push(length)
+    safety = filtered_by(PANDA, FLOOR, PUSHED)
+    return FilteredEnv(bare, Shadow(safety) if shadow else safety, torque=bare, opening=lambda _: 0.04)
+
+
+HAND = SafetyFilter(PANDA)
+
+
+def torques(env, choose, steps, seed):
+    env.reset(seed=seed)
+    rng, visited, infos = np.random.default_rng(seed), [], []
+    joints = env.unwrapped.plant.read
+    for step in range(steps):
+        state = joints()
+        action = choose(rng, step, state.q, state.v)
+        infos.append(env.step(action)[4])
+        visited.append(joints().q)
+    return np.array(visited), infos
+
+
+def at_random(rng, step, q, v):
+    """Bang-bang, another corner every 50 ms."""
+    if step % 50 == 0:
+        at_random.corner = 0.3 * rng.choice([-1.0, 1.0], 7) * TORQUE
+    return at_random.corner
+
+
+def downward(rng, step, q, v):
+    """Pulls the hand at the table with 150 N."""
+    return np.clip(HAND.tool(q).jacobian[2] * -150.0, -TORQUE, TORQUE)
+
+
+@pytest.mark.parametrize("choose", [at_random, downward])
+def test_no_torque_policy_brings_h_below_zero(choose):
+    guarded, infos = torques(torque_env(), choose, 900, 0)
+    assert least(guarded, FLOOR, 0.04) > 0.0
+    assert max(info["tracking_error"] for info in infos) < PUSHED.tracking_error
+    assert {info["status"] for info in infos} <= {"SAFE", "MODIFIED"}
+    bare, _ = torques(Push(10**6), choose, 900, 0)
+    assert least(bare, FLOOR, 0.04) < -0.005
+
+
+class Blocked(gymnasium.Env):
+    """An arm that somebody holds: no torque moves it. It is its own dynamics, of unit inertia."""
+
+    action_space = gymnasium.spaces.Box(-100.0, 100.0, (7,), np.float64)
+    observation_space = gymnasium.spaces.Box(-4.0, 4.0, (14,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        return np.concatenate([PANDA.home, np.zeros(7)]), {}
+
+    def step(self, action):
+        return self.reset()[0], 0.0, False, False, {}
+
+    def acceleration(self, q, v, torque):
+        return torque
+
+    def track(self, q, v, u):
+        return (u - v) / PANDA.period
+
+
+def test_a_blocked_arm_winds_nothing_up():
+    """The wish goes out from the velocity that the arm has, not from the one that it was to have."""
+    bare = Blocked()
+    env = FilteredEnv(bare, filtered_by(PANDA, (), PUSHED), torque=bare)
+    env.reset()
+    applied = [env.step(np.full(7, 90.0))[4]["applied"] for _ in range(50)]
+    np.testing.assert_allclose(applied[0], [j.acceleration.value for j in PANDA.joints], rtol=1e-5)
+    np.testing.assert_allclose(applied, np.tile(applied[0], (50, 1)))
+
+
+def test_a_gentle_torque_passes_untouched():
+    _, infos = torques(torque_env(), lambda *_: np.full(7, 0.05), 50, 0)
+    assert {info["status"] for info in infos} == {"SAFE"}
+    assert all(np.array_equal(info["applied"], np.full(7, 0.05)) for info in infos)
+    assert max(info["tracking_error"] for info in infos) < 1e-3
+
+
+@pytest.mark.filterwarnings("ignore:.*(different from the unwrapped|not having a spec):UserWarning")
+@pytest.mark.filterwarnings("ignore:.*normalized space:UserWarning")
+def test_the_torque_environment_is_a_proper_one():
+    check_env(torque_env(20))
+    check_env(torque_env(20, shadow=True))

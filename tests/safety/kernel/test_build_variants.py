@@ -1,0 +1,72 @@
+"""Two sizes of one kernel: the same answers bit by bit, chosen by what a body needs, never mixed up."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from dualbrain.errors import InvalidSetup
+from dualbrain.robots.loader import load_body
+from dualbrain.safety.cbf import kernel
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64, _kernel64_wide, _kernel_wide
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
+from tests.safety.random_scenes import scene
+
+STEPS = 4000
+
+
+@pytest.fixture
+def wide_only(monkeypatch):
+    """Filters as the wide build makes them, whatever the body."""
+
+    def make(body, config=None):
+        with monkeypatch.context() as here:
+            here.setattr(kernel, "SIZES", ("_wide",))
+            return SafetyFilter(body, config)
+
+    return make
+
+
+@pytest.mark.parametrize(("name", "real"), [("panda", "float32"), ("ur5e", "float32"), ("panda", "float64")])
+def test_both_sizes_answer_bit_for_bit_alike(name, real, wide_only, rng):
+    body, config = load_body(name), FilterConfig(real=real)
+    things, v_max = scene(body, rng, 12), np.array([joint.velocity.value for joint in body.joints])
+    narrow, wide = SafetyFilter(body, config), wide_only(body, config)
+    assert type(narrow._kernel) is not type(wide._kernel)
+    for safety in (narrow, wide):
+        safety.observe(things)
+    q, u, wish, bound = np.array(body.home), np.zeros(body.n), np.zeros(body.n), 0
+    for step in range(STEPS):
+        if step % 60 == 0:
+            wish = rng.choice([-1.0, 1.0], body.n) * v_max
+        one, other = narrow(q, u, wish), wide(q, u, wish)
+        assert one.u.tobytes() == other.u.tobytes()
+        assert (one.status, one.flags, one.delta, one.h_min, one.rows) == (
+            other.status, other.flags, other.delta, other.h_min, other.rows,
+        )  # fmt: skip
+        bound += len(one.rows) > 1
+        u, q = one.u, q + body.period * one.u
+    assert bound > STEPS / 10
+
+
+def test_the_smallest_build_with_room_is_taken(panda):
+    balls = msgspec.structs.replace(panda, spheres=panda.spheres + panda.spheres[-9:])
+    assert kernel.build_for(panda, FilterConfig()) is _kernel
+    assert kernel.build_for(panda, FilterConfig(real="float64")) is _kernel64
+    assert kernel.build_for(balls, FilterConfig()) is _kernel_wide
+    assert kernel.build_for(balls, FilterConfig(real="float64")) is _kernel64_wide
+    assert _kernel.source_hash == _kernel_wide.source_hash
+
+
+def test_what_no_build_has_room_for_is_refused_with_its_number(panda):
+    balls = msgspec.structs.replace(panda, spheres=panda.spheres * 3)
+    with pytest.raises(InvalidSetup, match=r"spheres of the body: got 312, allowed: at most 232"):
+        SafetyFilter(balls)
+
+
+def test_parts_of_one_build_are_not_taken_by_another(panda, wide_only):
+    """The lab's closed loops read the structures of a kernel, whose sizes are those of its build."""
+    zeros = {name: np.zeros(0) for name in ("rotation", "offset", "lower", "upper", "v_max", "a_max", "frame", "first")}
+    judge = _kernel.Judge({"n": panda.n, **zeros, "pairs": np.zeros(0), "centres": np.zeros(0), "radii": np.zeros(0)})
+    parts = wide_only(panda)._kernel.parts()
+    with pytest.raises(ValueError, match="parts of a kernel of this build"):
+        judge.trial(parts, np.empty((0, 24)), {}, np.zeros(panda.n), np.empty((0, panda.n)))

@@ -1,0 +1,83 @@
+"""Kinematics against MuJoCo, and sine and cosine against the standard library."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from dualbrain.safety.cbf.compiled import _kernel, _kernel64
+from dualbrain.safety.cbf.filter import FilterConfig, SafetyFilter
+from tests.safety import geometry_oracle, mujoco_oracle
+
+
+@pytest.mark.parametrize(("kernel", "tolerance"), [(_kernel, 2.5e-7), (_kernel64, 3e-16)])
+def test_sine_and_cosine_are_accurate_to_the_last_place(kernel, tolerance, rng):
+    for x in [*rng.uniform(-7.0, 7.0, 2000), 0.0, math.pi / 4, -math.pi / 2, math.pi]:
+        rounded = float(np.float32(x)) if kernel is _kernel else float(x)
+        sine, cosine = kernel.sincos(rounded)
+        assert abs(sine - math.sin(rounded)) <= tolerance
+        assert abs(cosine - math.cos(rounded)) <= tolerance
+
+
+@pytest.mark.parametrize(("real", "tolerance"), [("float32", 2e-6), ("float64", 1e-12)])
+def test_tool_and_jacobian_agree_with_mujoco(panda, rng, posture, real, tolerance):
+    safety = SafetyFilter(panda, FilterConfig(real=real))
+    model = mujoco.MjModel.from_xml_string(mujoco_oracle.build(panda))
+    data = mujoco.MjData(model)
+    site = model.site("tool").id
+    for _ in range(50):
+        q = posture(rng)
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        linear, angular = np.empty((3, 7)), np.empty((3, 7))
+        mujoco.mj_jacSite(model, data, linear, angular, site)
+        tool = safety.tool(q)
+        np.testing.assert_allclose(tool.position, data.site_xpos[site], atol=tolerance)
+        np.testing.assert_allclose(tool.rotation, data.site_xmat[site].reshape(3, 3), atol=tolerance)
+        np.testing.assert_allclose(tool.jacobian, np.vstack([linear, angular]), atol=2 * tolerance)
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.025, 0.04])
+def test_spheres_ride_on_their_links_and_fingers_slide(panda, rng, posture, opening):
+    safety = SafetyFilter(panda, FilterConfig(real="float64"))
+    model = mujoco.MjModel.from_xml_string(mujoco_oracle.build(panda))
+    data = mujoco.MjData(model)
+    for _ in range(10):
+        q = posture(rng)
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        centres, radii, groups = safety.spheres(q, opening)
+        for k, name in enumerate(mujoco_oracle.sphere_names(panda)):
+            link = next(x for x in panda.links if x.name == name.split(".")[0])
+            slide = data.xmat[model.body(link.name).id].reshape(3, 3) @ np.array(link.slide)
+            geom = model.geom(name).id
+            np.testing.assert_allclose(centres[k], data.geom_xpos[geom] + opening * slide, atol=1e-9)
+            assert radii[k] == pytest.approx(model.geom_size[geom][0], abs=1e-9)
+            assert groups[k] == link.group
+
+
+def test_held_spheres_follow_the_tool(panda, rng, posture):
+    safety = SafetyFilter(panda, FilterConfig(real="float64"))
+    held = np.array([[0.0, 0.01, 0.02, 0.03], [0.0, 0.0, 0.05, 0.02]])
+    safety.attach(held, 0.0)
+    q = posture(rng)
+    tool = safety.tool(q)
+    centres, radii, groups = safety.spheres(q, 0.01)
+    np.testing.assert_allclose(centres[-2:], tool.position + held[:, :3] @ tool.rotation.T, atol=1e-12)
+    np.testing.assert_allclose(radii[-2:], held[:, 3])
+    assert groups[-2:] == ("held", "held")
+    safety.detach()
+    assert len(safety.spheres(q, 0.01)[0]) == len(panda.spheres)
+
+
+def test_the_numpy_oracle_agrees_with_mujoco(panda, rng, posture):
+    model = mujoco.MjModel.from_xml_string(mujoco_oracle.build(panda))
+    data = mujoco.MjData(model)
+    q = np.array([posture(rng) for _ in range(5)])
+    centres, _, _ = geometry_oracle.centres(panda, q)
+    for t in range(5):
+        data.qpos[:] = q[t]
+        mujoco.mj_forward(model, data)
+        for k, name in enumerate(mujoco_oracle.sphere_names(panda)):
+            np.testing.assert_allclose(centres[t, k], data.geom_xpos[model.geom(name).id], atol=1e-9)

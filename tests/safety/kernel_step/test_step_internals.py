@@ -1,0 +1,268 @@
+"""What a step works with, number by number, against numpy from definitions: bodies and moments of every kind.
+
+Bounds hold and are no looser than stated, lists hold what they must and nothing else, rows are the rows: a factor, an
+index or a sign that is wrong anywhere shows here, also where it would only cost work.
+"""
+
+import numpy as np
+import pytest
+
+from tests.safety.kernel_step import random_cases
+from tests.safety.kernel_step.reference_rows import LOWER, OBSTACLE, SELF, UPPER, Weighing
+
+KINDS = {
+    "still": {"moving": False, "apart": False, "permits": False, "held": 0, "rows": 0},
+    "everything": {},
+    "mobile": {"mobile": True},
+    "alone": {"things": 0, "permits": False},
+    "crowd": {"things": 21, "apart": False},
+    "balls at rest": {"things": 21, "apart": False, "moving": False, "balls": True},
+    "balls": {"things": 21, "apart": False, "balls": True},
+    "one of each": {"things": 1, "held": 1, "rows": 1, "permits": False},
+}
+STOPPING = 1 | 2 | 4 | 8 | 16 | 32 | 64 | 256
+"""Reasons for which nothing is computed."""
+SIZES = [(7, 6), (8, 19), (2, 3), (5, 8)]
+
+
+def close(got, wanted, what, tolerance=1e-9):
+    np.testing.assert_allclose(got, wanted, atol=tolerance, rtol=1e-9, err_msg=what)
+
+
+def asked(rng, n, links, kind, oracle=Weighing, *, crowded=False):
+    """A kernel after one step, and what numpy says of the same moment; None where the input was refused."""
+    model = random_cases.body(rng, n, links)
+    made = random_cases.kernel(model)
+    rest = random_cases.Moment(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty((0, 29)))
+    box = np.array([-model["v_max"], model["v_max"]])
+    points = Weighing(model, rest, box, box).centre
+    m = random_cases.moment(rng, model, points, **KINDS[kind])
+    if crowded:  # fast toward what is near, and rows of one's own that contradict
+        m.u_nom = m.u_prev = model["v_max"] * rng.uniform(-0.5, 0.5, n)
+        m.rows = np.concatenate([m.rows, -m.rows * np.array([*[1.0] * n, -0.01, 1.0, -1.0])]).reshape(-1, n + 3)
+    random_cases.tell(made, model, m)
+    answer = random_cases.step(made, m)
+    if answer.status == 3 or answer.flags & STOPPING:
+        return None
+    got = random_cases.inside(made, n, links)
+    at = got["step"]
+    box, trust = ((at[low][:n], at[high][:n]) for low, high in (("lower", "upper"), ("trust_lower", "trust_upper")))
+    return made, model, m, answer, got, oracle(model, m, box, trust)
+
+
+def body_and_scene(got, w):
+    n, held = w.n, len(w.model["spheres"]) + 8
+    close(got["body"]["reach"][:n, :held], w.reach, "longest lever arms")
+    close(got["body"]["link_reach"][:n, : w.links + 1], w.link_reach, "longest lever arms of links")
+    close(got["body"]["ball"][: w.links], w.balls[:-1], "balls around links")
+    close(got["scene"]["held_ball"], w.balls[-1], "ball around what is held")
+    frames = [*np.repeat(w.link_frame[:-1], np.diff(w.first[:-1])), *[n] * 8]
+    close(got["body"]["sphere_frame"][:held], frames, "frames of spheres")
+    scene = got["scene"]
+    for j, t in enumerate(w.things):
+        wanted = {
+            "x": t.start[0], "y": t.start[1], "z": t.start[2], "vx": t.velocity[0], "vy": t.velocity[1],
+            "vz": t.velocity[2], "ax": t.turn[0, t.axis], "ay": t.turn[1, t.axis], "az": t.turn[2, t.axis],
+            "half": t.length, "radius": t.thick, "margin": t.margin, "alpha": t.alpha, "error": t.error,
+            "speed": t.speed, "parts": t.mask, "known": t.flags & 1, "moving": not t.flags & 2, "rank": t.rank,
+            "plain": t.plain,
+        }  # fmt: skip
+        for name, value in wanted.items():
+            assert scene[name][j] == pytest.approx(float(value), abs=1e-12), name
+    assert scene["any_half_space"][0] == any(t.shape == 2 for t in w.things)
+    assert scene["any_separation"][0] == any(t.brake > 0 for t in w.things)
+    assert scene["any_moving"][0] == any(not t.flags & 2 for t in w.things)
+
+
+def bounds(w):
+    """The box: speed, acceleration around the last control, and what still stops before a joint limit."""
+    m, y = w.model, w.y
+    step = m["a_max"] * m["period"]
+    low, high = np.maximum(-m["v_max"], w.m.u_prev - step), np.minimum(m["v_max"], w.m.u_prev + step)
+
+    def toward(d):
+        linear, half = m["alpha_joint"] * d, 0.5 * step
+        braking = np.sqrt(half**2 + 2.0 * m["a_max"] * np.maximum(d, 0.0)) - half
+        return np.where(d > 0.0, np.minimum(linear, braking), np.maximum(linear, -4.0 * m["recovery"])) - m["tracking"]
+
+    lower = np.clip(-toward(y - m["q_lower"] - m["rounding"]), low, high)
+    close(w.low, lower, "lower bounds")
+    close(w.high, np.clip(toward(m["q_upper"] - m["rounding"] - y), lower, high), "upper bounds")
+
+
+def motion(got, w):
+    n, count = w.n, len(w.centre)
+    assert got["step"]["spheres"][0] == count
+    close(np.stack([got["step"][e][:count] for e in "xyz"], axis=1), w.centre, "centres")
+    close(got["step"]["r"][:count], w.radius, "radii")
+    for f, (R, p) in enumerate(w.frames):
+        close(got["step"]["rotation"][f].reshape(3, 3), R, "frames")
+        close(got["step"]["origin"][f], p, "frames")
+    told = got["motion"]
+    close(np.stack([told[f"v{e}"][:count] for e in "xyz"], axis=1), w.velocity, "velocities")
+    close(np.stack([told[f"a{e}"][:count] for e in "xyz"], axis=1), w.acceleration, "accelerations")
+    close(told["spread"][:count], w.spread, "spread")
+    close(told["twist"][: n + 1], w.twist, "twists")
+    for name in ("fast", "wide", "beyond"):
+        close(told[name][:n], getattr(w, name), name)
+    for name in ("speed", "haste", "bend"):
+        close(told[name][: w.links + 1], getattr(w, name), name)
+    bound = np.stack([told[name][: w.links + 1] for name in ("bound_x", "bound_y", "bound_z", "bound_r", "inner")], 1)
+    close(bound, w.bounds, "balls where they are")
+
+
+def lists(got, w):
+    if "around" not in got:
+        return
+    around, count = got["around"], len(w.things)
+    places = np.stack([around[e][:count] for e in "xyz"], axis=1)
+    close(places, np.array([t.place for t in w.things]), "things moved on")
+    close(around["margin"][:count], [w.margin(t) for t in w.things], "margins")
+    close(around["alpha"][:count], [w.alpha(t) for t in w.things], "gains")
+    assert [list(near) for near in around["near"]] == w.near
+
+
+def projected(made, w):
+    """The same lists as a projection has them: more clearance, and only what is known."""
+    more = Weighing(w.model, w.m, (w.low, w.high), (w.trust_low, w.trust_high))
+    more.extra, more.known_only = 0.013, True
+    lists(random_cases.inside(made, w.n, w.links, more.extra, known_only=True), more)
+
+
+def spans(told, w, names):
+    """Rows side by side that the same joints move: each run as long as it can be, made by one sphere or by several."""
+    wanted = []
+    for kind, i, j in names:
+        if kind == OBSTACLE:
+            link = next(link for link in range(w.links + 1) if i in w.of(link))
+            social = [k for k in w.near[link] if w.things[k].plain and (link, k) not in w.m.permits]
+            wanted.append((0, w.link_frame[link], float(not (j in social and len(social) > len(w.of(link))))))
+        elif kind == SELF:
+            wanted.append((w.frame[j], w.frame[i], 1.0))
+    begins = [r for r, span in enumerate(wanted) if r == 0 or span != wanted[r - 1]]
+    count = int(told["n_spans"][0])
+    assert told["span_first"][:count].tolist() == begins
+    got = np.stack([told[name][:count] for name in ("span_from", "span_upto", "span_several")], axis=1)
+    close(got, np.array([wanted[r] for r in begins]).reshape(-1, 3), "spans")
+
+
+def rows(got, w):
+    told = got["rows"]
+    count = int(told["count"][0])
+    names = [tuple(int(told[e][r]) for e in ("kind", "i", "j")) for r in range(count)]
+    assert len(set(names)) == count
+    assert set(names) == set(w.rows)
+    if not w.fixed:
+        spans(told, w, names)
+    padded = -(-count // 8) * 8
+    assert np.all(told["a"][: w.n, count:padded] == 0.0), "rows that fill the last vector ask for nothing"
+    assert np.all(told["b"][count:padded] == -1e9)
+    for r, name in enumerate(names):
+        a, b, h, norm, yields, moves, rank = w.rows[name]
+        close(told["a"][: w.n, r], a, f"normal of {name}")
+        close(told["h"][r], h, f"h of {name}")
+        close(told["norm"][r], norm, f"norm of {name}")
+        close(told["b"][r], b, f"right side of {name}")
+        assert (told["yielding"][r], told["moving"][r], told["rank"][r]) == (yields, moves, rank), name
+
+
+def optimal(answer, got, w):
+    """What binds, by name, carries the answer off the nominal: R (u - u_nom) is the sum of multiplier times normal."""
+    assert (answer.n_rows, answer.relaxed) == (got["rows"]["count"][0], 0)
+    S = w.model["scale"]
+    pull = np.linalg.solve(S @ S.T, np.array(answer.u) - w.m.u_nom)
+    for kind, i, j, h, weight in answer.rows:
+        if kind in (LOWER, UPPER):
+            side = np.eye(w.n)[i] * (1.0 if kind == LOWER else -1.0)
+            bound = (w.low if kind == LOWER else -w.high)[i]
+            assert h == 0.0
+        else:
+            side, bound, gap, *_ = w.rows[kind, i, j]
+            assert h == pytest.approx(gap, abs=1e-9)
+        assert weight > 0.0
+        assert side @ answer.u == pytest.approx(bound, abs=1e-9), "it does bind"
+        pull = pull - weight * side
+    close(pull, 0.0, "what moved the answer", 1e-6)
+    warm = got["step"]["warm"][: int(got["step"]["n_warm"][0]), :3]
+    assert [tuple(row) for row in warm] == [row[:3] for row in answer.rows]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_every_number_of_a_step_is_what_it_is_defined_as(kind, size):
+    rng = np.random.default_rng(len(kind) + 100 * size[0])
+    seen = 0
+    for _ in range(40):
+        found = asked(rng, *size, kind)
+        if found is None:
+            continue
+        made, _, _, answer, got, w = found
+        body_and_scene(got, w)
+        bounds(w)
+        motion(got, w)
+        lists(got, w)
+        assert answer.h_min == pytest.approx(w.h_min, abs=1e-9)
+        projected(made, w)
+        if answer.status < 2:  # else right sides are those of the relaxation
+            rows(got, w)
+            optimal(answer, got, w)
+        visits = {
+            tuple(int(got["step"][e][r]) for e in ("visit_first", "visit_spheres", "visit_other"))
+            for r in range(int(got["step"]["visits"][0]))
+        }
+        assert visits == w.visits
+        assert got["step"]["glances"][0] == w.glances
+        seen += 1
+        if seen == 3:
+            return
+    raise AssertionError("too few of these moments have an answer")
+
+
+def around(w, expected):
+    """The trust box around a control: a fiftieth of v_max to either side, all of a box that is hardly wider."""
+    reach = 0.02 * w.model["v_max"]
+    middle, wide = np.clip(expected, w.low, w.high), w.high - w.low > 4.0 * reach
+    low, high = np.maximum(w.low, middle - reach), np.minimum(w.high, middle + reach)
+    return np.where(wide, low, w.low), np.where(wide, high, w.high), wide.any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "n"), [("still", 7), ("everything", 8), ("crowd", 8), ("everything", 3), ("still", 1)]
+)
+def test_rows_are_looked_for_where_the_answer_is_expected(kind, n):
+    """Around the nominal control, and where rows bound the last control around that one; else in the whole box."""
+    rng, seen = np.random.default_rng(17), [0, 0, 0, 0]
+    for _ in range(60):
+        found = asked(rng, n, 6, kind)
+        if found is None or found[3].status > 1:
+            continue
+        made, model, m, answer, got, w = found
+        for turn in range(2):
+            bound = got["step"]["n_warm"][0] > 0
+            low, high, narrowed = around(w, m.u_prev if turn and bound else m.u_nom)
+            told = got["step"]["trusted"][0]
+            assert told in (0, narrowed)
+            inside = np.all((answer.u >= low) & (answer.u <= high))
+            found_there = np.all((answer.u >= w.trust_low) & (answer.u <= w.trust_high))
+            assert found_there or not told, "an answer that lies elsewhere is looked for there"
+            well_inside = np.all((answer.u > low + 1e-6) & (answer.u < high - 1e-6))
+            assert told or not (narrowed and well_inside), "an answer that lies there is found there"
+            if told and inside:
+                close(w.trust_low, low, "the trust box")
+                close(w.trust_high, high, "the trust box")
+                seen[2 * turn + int(bound)] += 1
+            if not told:
+                close(w.trust_low, w.low, "the whole box")
+                close(w.trust_high, w.high, "the whole box")
+            was_bound, m.u_prev = bound, np.array(answer.u)
+            answer = random_cases.step(made, m)
+            got = random_cases.inside(made, n, 6)
+            got["step"]["n_warm"] = np.array([float(was_bound)])
+            if answer.status > 1:
+                break
+            box, trust = (
+                (got["step"][a][:n], got["step"][b][:n])
+                for a, b in (("lower", "upper"), ("trust_lower", "trust_upper"))
+            )
+            w = Weighing(model, m, box, trust)
+    assert sum(seen) > 3, seen

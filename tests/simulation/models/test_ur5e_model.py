@@ -1,0 +1,94 @@
+"""The built-in UR5e against the body data, and its meshes against spheres that were fitted to others."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dualbrain.robots.builtin import ur5e
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.models.collision_hulls import arm_hulls, thinned
+from dualbrain.simulation.models.mujoco_model import robot_model
+from tests.simulation.models.test_panda_model import frame, spin
+
+BODY = load_body("ur5e")
+LINKS = [link.name for link in BODY.links]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return robot_model("ur5e").spec.compile()
+
+
+def test_kinematics_agree_with_the_body(model):
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(50):
+        q = rng.uniform([j.lower.value for j in BODY.joints], [j.upper.value for j in BODY.joints])
+        data.qpos[:6] = q
+        mujoco.mj_kinematics(model, data)
+        T = np.eye(4)
+        for joint, angle in zip(BODY.joints, q, strict=True):
+            T = T @ frame(joint.translation, joint.quaternion) @ spin(angle)
+        T = T @ frame(BODY.tool.translation, BODY.tool.quaternion)
+        assert np.allclose(data.site("tcp").xpos, T[:3, 3], atol=1e-9)
+        assert np.allclose(data.site("tcp").xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
+
+
+def test_limits_and_gravity_compensation(model):
+    assert np.allclose(model.jnt_range[:6], [(j.lower.value, j.upper.value) for j in BODY.joints], atol=1e-9)
+    assert np.allclose(model.actuator_forcerange[:6, 1], [150] * 3 + [28] * 3)
+    assert all(model.body_gravcomp[model.body(name).id] == 1.0 for name in LINKS[1:])
+    assert model.jnt_range[6:8, 1] == pytest.approx(BODY.gripper.opening.value)
+
+
+def corners(model, geom):
+    """Corners of a mesh or a box in its link's frame."""
+    mesh = model.geom_dataid[geom]
+    if mesh >= 0:
+        first = model.mesh_vertadr[mesh]
+        points = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+    else:
+        points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * model.geom_size[geom]
+    place = frame(model.geom_pos[geom], model.geom_quat[geom])
+    return points @ place[:3, :3].T + place[:3, 3]
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_filters_spheres_hold_meshes_they_never_saw(model, link):
+    """A hull lies in a set of balls about as far as its corners do; 0.1 mm is what thinning and rounding leave."""
+    own = [sphere for sphere in BODY.spheres if sphere.link == link]
+    centres, radii = np.array([ball.centre for ball in own]), np.array([ball.radius for ball in own])
+    geoms = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == link]
+    points = np.vstack([corners(model, geom) for geom in geoms])
+    points *= (-1, -1, 1) if link.startswith("right_") else 1  # MuJoCo's body is turned round, the link is not
+    outside = np.min(np.linalg.norm(points[:, None] - centres, axis=2) - radii, axis=1).max()
+    assert outside <= 1e-4
+    assert outside > -0.02, "and the spheres are not idly large"
+    fitted = {tuple(point) for wanted in ur5e.COVER.get(link, ()) for point in ur5e.part(wanted.mesh).vertices.round(4)}
+    assert not {tuple(point) for point in points.round(4)} <= fitted
+
+
+def test_no_self_contact_at_home(model):
+    data = mujoco.MjData(model)
+    data.qpos[:6], data.qpos[6:8] = BODY.home, BODY.gripper.opening.value
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
+def test_a_thinned_hull_keeps_every_corner_within_its_tolerance():
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((400, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    kept = thinned(points, tolerance=0.05)
+    from scipy.spatial import ConvexHull  # noqa: PLC0415
+
+    planes = ConvexHull(kept).equations
+    assert len(kept) < 200
+    assert (points @ planes[:, :3].T + planes[:, 3]).max() <= 0.05 + 1e-9
+
+
+def test_the_stored_meshes_are_what_the_command_draws(model):
+    for name, points in arm_hulls().items():
+        geom = model.geom(name).id
+        stored = corners(model, geom)
+        away = np.linalg.norm(stored[:, None] - points[None], axis=2).min(axis=1)
+        assert away.max() < 2e-4

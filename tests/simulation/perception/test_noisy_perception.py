@@ -1,0 +1,122 @@
+"""Perception: the declared bounds hold always, chance comes from the generator, age and absence are told."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.core.geometry.shapes import HalfSpace
+from dualbrain.errors import InvalidSetup
+from dualbrain.simulation.perception.noisy_perception import EXACT, Noise, Perception
+from tests.simulation.scripted_hand import plant, rest
+
+SCENE = plant("forearm", 1)
+
+
+def look(noise, seed=0, looks=1, p=SCENE):
+    perception = Perception(p.spec, noise, np.random.default_rng(seed))
+    return [perception.look(p) for _ in range(looks)]
+
+
+def error(p, thing):
+    return np.subtract(thing.pose.position, p.truth(thing.name).position)
+
+
+@given(st.floats(1e-4, 0.02), st.floats(0.0, 2.0), st.integers(0, 999))
+@settings(max_examples=40, deadline=None)
+def test_the_norm_of_the_error_never_exceeds_the_declared_bound(sigma, drift, seed):
+    for scene in look(Noise(sigma=sigma, drift=drift), seed, looks=10):
+        for thing in scene.objects[1:]:
+            assert np.linalg.norm(error(SCENE, thing)) <= thing.error + 1e-12
+            assert thing.error == pytest.approx(3 * sigma)
+
+
+def test_errors_have_the_declared_spread():
+    p = plant("bare", 0)
+    seen = [error(p, scene.find("red_cube")) for scene in look(Noise(drift=0.0), looks=2000, p=p)]
+    assert np.std(seen) == pytest.approx(0.003, rel=0.08)
+    assert np.abs(np.mean(seen, axis=0)).max() < 4e-4
+
+
+def test_errors_drift_slowly():
+    p = plant("bare", 0)
+    perception = Perception(p.spec, Noise(drift=0.5), np.random.default_rng(1))
+    seen = []
+    for _ in range(60):
+        rest(p, 0.033)
+        seen.append(error(p, perception.look(p).find("red_cube")))
+    steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    assert 0.0 < np.median(steps) < 0.003
+    assert np.ptp(seen, axis=0).max() > 0.003
+
+
+def test_exact_noise_shows_the_truth():
+    scene = look(EXACT)[0]
+    for thing in scene.objects[1:]:
+        assert np.allclose(error(SCENE, thing), 0.0)
+        assert thing.error == 0.0
+
+
+def test_the_same_generator_gives_the_same_scene():
+    assert look(Noise(), 5, 3) == look(Noise(), 5, 3)
+    assert look(Noise(), 5) != look(Noise(), 6)
+
+
+def test_roles_and_the_table():
+    scene = look(Noise())[0]
+    roles = {thing.name: thing.role for thing in scene.objects}
+    assert roles["red_cube"] == "object"
+    assert roles["blue_bowl"] == "container"
+    assert roles["forearm"] == "person"
+    assert scene.find("table").role == "support"
+    assert scene.find("table").shape == HalfSpace()
+    assert scene.find("table").error == 0.0
+    assert "red_cube" in scene.graspable
+    assert {"blue_bowl", "table_left"} <= set(scene.receptive)
+
+
+def test_a_persons_velocity_is_within_its_bound():
+    p = plant("forearm", 1)
+    perception = Perception(p.spec, Noise(velocity_error=0.05), np.random.default_rng(0))
+    speeds = []
+    for _ in range(40):
+        rest(p, 0.1)
+        arm = perception.look(p).find("forearm")
+        assert np.linalg.norm(np.subtract(arm.velocity, p.velocity("forearm"))) <= arm.velocity_error
+        speeds.append(np.linalg.norm(p.velocity("forearm")))
+    assert max(speeds) > 0.1
+
+
+def test_latency_shows_the_past_with_its_stamp():
+    p = plant("forearm", 1)
+    perception = Perception(p.spec, Noise(sigma=0.0, velocity_error=0.0, latency=0.1), np.random.default_rng(0))
+    history = {}
+    for _ in range(60):
+        history[round(p.now, 3)] = p.truth("forearm").position
+        arm = perception.look(p).find("forearm")
+        assert arm.pose.position == history[round(arm.stamp, 3)]
+        rest(p, 0.02)
+    assert p.now - 0.02 - arm.stamp == pytest.approx(0.1, abs=0.021)
+
+
+def test_drop_outs_keep_the_old_stamp():
+    p = plant("bare", 0)
+    perception = Perception(p.spec, Noise(drop_out=0.5), np.random.default_rng(0))
+    perception_ages = []
+    for _ in range(60):
+        rest(p, 0.01)
+        scene = perception.look(p)
+        perception_ages += [scene.stamp - thing.stamp for thing in scene.objects[1:]]
+    assert max(perception_ages) > 0.02
+    assert min(perception_ages) == 0.0
+
+
+def test_hidden_things_are_absent_and_the_version_counts_names():
+    scenes = look(Noise(hidden=frozenset({"forearm"})), looks=3)
+    assert all(thing.name != "forearm" for scene in scenes for thing in scene.objects)
+    assert [scene.version for scene in scenes] == [1, 1, 1]
+
+
+def test_impossible_noise_is_refused():
+    with pytest.raises(InvalidSetup, match="drop_out"):
+        look(Noise(drop_out=1.0))

@@ -1,0 +1,68 @@
+"""Pictures: an offscreen view shows the robot and the scene, and a machine without GL is told what to install."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from dualbrain.errors import UnknownName
+from dualbrain.simulation.scenes.appearance import colour_of
+
+SNAP = """
+import numpy as np
+from dualbrain.simulation.perception.rendering import Camera
+from tests.simulation.scripted_hand import plant
+p = plant("tabletop", 3, visuals=True)
+with Camera(p, width=320, height=240) as camera:
+    for view in ("front", "top", "side"):
+        picture = camera.snap(view)
+        assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8
+        r, g, b = (picture[..., k].astype(int) for k in range(3))
+        red, blue = (r > 2 * g) & (r > 2 * b), (b > 1.5 * r) & (b > 1.3 * g)
+        white = (picture.min(axis=2) > 150) & (np.ptp(picture, axis=2) < 12)
+        assert red.sum() > 10, "the red cube is in view"
+        assert blue.sum() > 100, "the blue bowl is in view"
+        assert white.sum() > 500, "the white robot is in view"
+    try:
+        camera.snap("back")
+    except Exception as error:
+        assert "front" in str(error)
+"""
+
+NO_GL = """
+import mujoco
+from dualbrain.errors import MissingPart
+from dualbrain.simulation.perception.rendering import Camera
+from tests.simulation.scripted_hand import plant
+try:
+    Camera(plant())
+except MissingPart as error:
+    assert "libosmesa6" in str(error) and "libgl1-mesa-dri" in str(error)
+else:
+    raise SystemExit("a camera without GL")
+"""
+
+
+def run(code, **environment):
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stderr
+
+
+def test_the_scene_is_in_the_picture():
+    code, said = run(SNAP, MUJOCO_GL="egl")
+    if "MissingPart" in said:
+        code, said = run(SNAP, MUJOCO_GL="osmesa")
+    assert code == 0, said
+
+
+def test_a_machine_without_gl_is_told_what_to_install():
+    code, said = run(NO_GL, MUJOCO_GL="disable")
+    assert code == 0, said
+
+
+def test_unknown_colours_are_refused():
+    with pytest.raises(UnknownName, match="red"):
+        colour_of("rde")

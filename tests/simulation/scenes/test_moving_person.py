@@ -1,0 +1,73 @@
+"""The forearm: a continuous path, followed closely, with a push that never exceeds its bound."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.simulation.plant.plant import Plant
+from dualbrain.simulation.scenes.moving_person import ACCELERATION, path_of
+from dualbrain.simulation.scenes.scene_spec import Mover, SceneSpec
+from tests.simulation.scripted_hand import BODY, HOME, plant, rest
+
+movers = st.builds(
+    Mover,
+    start=st.just((0.7, -0.5, 0.17)),
+    end=st.tuples(st.just(0.7), st.floats(-0.4, 0.5), st.just(0.17)),
+    speed=st.floats(0.05, 0.6),
+    pause=st.floats(0.0, 3.0),
+    phase=st.floats(0.0, 20.0),
+)
+
+
+@given(movers, st.floats(0.0, 60.0))
+@settings(deadline=None)
+def test_the_path_is_continuous_bounded_and_its_rate_is_its_derivative(mover, t):
+    path = path_of(mover)
+    distance, rate = path.at(t)
+    later, rate_later = path.at(t + 1e-4)
+    assert -1e-9 <= distance <= path.length + 1e-9
+    assert abs(rate) <= mover.speed + 1e-9
+    assert abs(later - distance - 1e-4 * 0.5 * (rate + rate_later)) < 1e-6
+    assert abs(rate_later - rate) <= 2 * ACCELERATION * 1e-4 + 1e-9
+    assert np.allclose(path.at(t + path.cycle), (distance, rate), atol=1e-6)
+
+
+def crossing(**changes):
+    mover = Mover(start=(0.78, -0.4, 0.2), end=(0.78, 0.4, 0.2), speed=0.2, pause=0.1, phase=0.0, **changes)
+    return Plant(SceneSpec("panda", "forearm", 0, (), (), mover), BODY)
+
+
+def test_the_forearm_follows_its_path():
+    p = crossing()
+    path, far = path_of(p.spec.mover), []
+    for _ in range(2500):
+        p.advance()
+        distance, _ = path.at(p.now)
+        far.append(np.linalg.norm(p.truth("forearm").position - (path.start + distance * path.direction)))
+    assert max(far) < 3e-3
+
+
+def test_a_blocked_forearm_pushes_with_its_bounded_force():
+    """The arm stands in the way with its brakes on: the push stays below 150 N and does not run away."""
+    p = crossing()
+    p.place_arm(np.array([0.0, 0.65, 0.0, -1.9, 0.0, 2.5, 0.785]))
+    p.stop()
+    arm, forces = p.read().q, []
+    drives = [p.model.actuator(f"forearm_{axis}").id for axis in "xyz"]
+
+    def note():
+        forces.append(np.linalg.norm(p.data.actuator_force[drives]))
+
+    rest(p, 4.0, each=note)
+    assert p.data.ncon > 0
+    assert p.truth("forearm").position[1] < 0.1, "it never came past the arm"
+    assert 60.0 < max(forces) <= 150.0 + 1e-6
+    assert np.abs(p.read().q - arm).max() < 0.02
+
+
+def test_gravity_does_not_pull_the_forearm():
+    p = plant("forearm", 1)
+    start = p.truth("forearm").position[2]
+    rest(p, 0.5)
+    assert abs(p.truth("forearm").position[2] - start) < 1e-3
+    assert np.allclose(p.read().q, HOME, atol=1e-6)

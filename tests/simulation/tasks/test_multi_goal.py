@@ -1,0 +1,127 @@
+"""Several goals: words to stages, conditions and groups by the scene, order and rest judged on truth."""
+
+import numpy as np
+import pytest
+
+from dualbrain.errors import InvalidSetup, UnknownName
+from dualbrain.robots.loader import load_body
+from dualbrain.simulation.scenes.generators.rooms import make_room
+from dualbrain.simulation.scenes.generators.tabletop import make_scene
+from dualbrain.simulation.tasks.arrival import At
+from dualbrain.simulation.tasks.multi_goal import Agenda, AgendaReferee, Home, errand_of
+from dualbrain.simulation.tasks.placement import Goal
+from tests.simulation.scripted_hand import BODY, Plant, rest
+
+FREE, TAKEN = make_scene("sorting", 0), make_scene("sorting", 1)
+CUBE, BLOCK = Goal("red_cube", "blue_bowl"), Goal("yellow_block", "table_left")
+WORDS = "put the red cube in the blue bowl, then put the yellow block on the table left"
+
+
+def reds(spec):
+    return tuple(Goal(thing.name, "blue_bowl") for thing in spec.things if thing.colour == "red")
+
+
+@pytest.mark.parametrize(
+    ("words", "agenda"),
+    [
+        ("put the red cube in the blue bowl", CUBE),
+        (WORDS, Agenda(((CUBE,), (BLOCK,)))),
+        ("put red_cube in blue_bowl and put yellow_block on table_left", Agenda(((CUBE, BLOCK),))),
+        ("put red cube in blue bowl and then go home", Agenda(((CUBE,), (Home(),)))),
+        ("put all the red things in the blue bowl", Agenda((reds(FREE),))),
+        ("put all red ones in the blue bowl, then go home.", Agenda((reds(FREE), (Home(),)))),
+        ("if the blue bowl is free, put red cube in blue bowl, else put red cube on table left", CUBE),
+        ("if blue bowl is occupied put red cube on table_left", Agenda(())),
+    ],
+)
+def test_words_become_stages(words, agenda):
+    assert errand_of(words, FREE) == agenda
+
+
+def test_a_condition_is_decided_by_the_scene():
+    words = "if the blue bowl is free put red cube in blue bowl otherwise put red cube on table left"
+    assert errand_of(words, FREE) == CUBE
+    assert errand_of(words, TAKEN) == Goal("red_cube", "table_left")
+
+
+def test_what_is_not_there_is_told():
+    with pytest.raises(InvalidSetup, match="colour or kind"):
+        errand_of("put all the purple things in the blue bowl", FREE)
+    with pytest.raises(UnknownName, match="red_cube"):
+        errand_of("put red cube in blue bowl, then put green cube in blue bowl", FREE)
+    with pytest.raises(InvalidSetup, match="put THING in DESTINATION"):
+        errand_of("sing, then dance", FREE)
+
+
+def test_a_base_goes_to_several_places():
+    spec = make_room("empty_room", 0, "base")
+    assert errand_of("go to the shelf, then go to the charger", spec) == Agenda(((At("shelf"),), (At("charger"),)))
+    assert errand_of("go to the shelf", spec) == At("shelf")
+
+
+def put(p, name, position):
+    joint = p.data.joint(name)
+    joint.qpos[:3], joint.qvel[:] = position, 0.0
+
+
+def into_bowl(p, name):
+    put(p, name, np.add(p.truth("blue_bowl").position, [0.0, 0.0, 0.06]))
+
+
+def to_left(p, name):
+    put(p, name, np.add(p.spec.place("table_left").position, [0.0, 0.0, p.spec.find(name).position[2] + 0.002]))
+
+
+@pytest.mark.parametrize(("first", "second", "right"), [(into_bowl, to_left, True), (to_left, into_bowl, False)])
+def test_the_order_counts_and_everything_has_to_hold_at_the_end(first, second, right):
+    p = Plant(FREE, BODY)
+    things = {into_bowl: "red_cube", to_left: "yellow_block"}
+    ordered, free = AgendaReferee(p, errand_of(WORDS, FREE)), AgendaReferee(p, Agenda(((CUBE, BLOCK),)))
+    for move in (first, second):
+        assert not ordered.judge()[0]
+        move(p, things[move])
+        rest(p, 0.6)
+        for one in (ordered, free):
+            one.watch()
+    assert free.judge() == (True, 1.0)
+    assert ordered.judge()[0] == right
+    put(p, "red_cube", (0.6, 0.0, 0.026))
+    rest(p, 0.4)
+    success, progress = ordered.judge()
+    assert not success
+    assert 0.0 < progress < 1.0
+
+
+def test_all_of_a_colour_means_each_of_them_and_no_matter_what_else():
+    p = Plant(FREE, BODY)
+    referee = AgendaReferee(p, errand_of("put all the red things in the blue bowl", FREE))
+    for goal in reds(FREE):
+        assert not referee.judge()[0]
+        into_bowl(p, goal.thing)
+        rest(p, 0.8)
+    assert referee.judge() == (True, 1.0)
+
+
+def test_home_and_nothing_at_all_are_goals_too():
+    p = Plant(FREE, BODY)
+    home, nothing = AgendaReferee(p, Agenda(((Home(),),))), AgendaReferee(p, Agenda(()))
+    assert home.judge() == nothing.judge() == (True, 1.0)
+    p.place_arm(np.array(load_body("panda").home) + 0.2)
+    to_left(p, "red_cube")
+    rest(p, 0.05)
+    assert home.judge() == nothing.judge() == (False, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sorting_scene_starts_without_overlap_and_stays_at_rest(seed):
+    p = Plant(make_scene("sorting", seed), BODY)
+    assert not [contact.dist for contact in p.data.contact if contact.dist < -1e-4]
+    before = {name: np.array(p.truth(name).position) for name in p.names}
+    rest(p, 0.4)
+    assert all(np.linalg.norm(np.array(p.truth(name).position) - at) < 3e-3 for name, at in before.items())
+
+
+def test_every_second_sorting_scene_has_a_taken_bowl():
+    for seed in range(6):
+        taken = errand_of("if blue bowl is occupied put red cube on table left", make_scene("sorting", seed))
+        assert (taken == Goal("red_cube", "table_left")) == bool(seed % 2)

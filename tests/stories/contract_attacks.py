@@ -1,0 +1,144 @@
+"""The attacks in `contract_attacks.json`: how each becomes bytes, what the gate says, and the table in docs/attacks.md.
+
+Run `python -m tests.stories.contract_attacks` in the repository to write the page anew.
+"""
+
+import base64
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from dualbrain.contracts.contract import Stamp
+from dualbrain.contracts.gate.gate import Gate
+from dualbrain.contracts.gate.parse import MAX_BYTES
+from dualbrain.contracts.scene_names import SceneNames
+from dualbrain.contracts.verdict import Accepted, Verdict
+from tests.contracts.contract_strategies import NAMES, PRINCIPAL, REGISTRY
+
+HERE = Path(__file__).parent
+PAGE = HERE.parents[1] / "docs" / "attacks.md"
+ATTACKS: list[dict[str, Any]] = json.loads((HERE / "contract_attacks.json").read_text())
+FRAME = '{"id":"c-0001","context":{"robot":"panda","registry":"%s"},"action_sequence":%s}'
+HOME = '{"skill":"home","params":{"speed":0.1}}'
+GOOD = FRAME % (REGISTRY.hash, f"[{HOME}]")
+GRANTS = {PRINCIPAL: frozenset(REGISTRY.by_name), "guest": frozenset({"decline"})}
+NOW, SCENE_VERSION = 100.0, 3
+STAGES = ("syntax", "authorization", "envelope", "accepted")
+
+
+def bytes_of(attack: dict[str, Any]) -> bytes:
+    """What the gate receives."""
+    if "generator" in attack:
+        return generated(attack)
+    if "base64" in attack:
+        return base64.b64decode(attack["base64"])
+    text = FRAME % (REGISTRY.hash, attack["steps"]) if "steps" in attack else attack["text"]
+    return text.replace("$GOOD", GOOD).replace("$REGISTRY", REGISTRY.hash).encode()
+
+
+def generated(attack: dict[str, Any]) -> bytes:
+    """Bytes that are too long or too odd to be written in the file."""
+    size = attack.get("size", 0)
+    match attack["generator"]:
+        case "digits":
+            return GOOD.replace("0.1", "9" * size).encode()
+        case "quoted":
+            return json.dumps(GOOD).encode()
+        case "prefixed":
+            return base64.b64decode(attack["base64"]) + GOOD.encode()
+        case "encoded":
+            return GOOD.encode(attack["encoding"])
+        case "nested":
+            return b"[" * size + b"]" * size
+        case "nested_params":
+            return GOOD.replace("0.1", '{"a":' * size + "0.1" + "}" * size).encode()
+        case "padded":
+            return GOOD.encode().ljust(size)
+        case "many_steps":
+            return (FRAME % (REGISTRY.hash, "[" + ",".join([HOME] * size) + "]")).encode()
+        case "many_fields":
+            return GOOD.replace('"speed"', "".join(f'"x{i}":0,' for i in range(size)) + '"speed"').encode()
+        case other:
+            raise AssertionError(other)
+
+
+def attempt(attack: dict[str, Any]) -> Verdict:
+    """The verdict of a fresh gate on `attack`; `after` is the sequence number that was accepted before it."""
+    gate = Gate(REGISTRY, GRANTS)
+    names = SceneNames(NAMES.graspable, NAMES.receptive, SCENE_VERSION)
+    if "after" in attack:
+        before = stamp_of({"sequence": attack["after"]})
+        assert isinstance(gate.check(GOOD.encode(), names=names, principal=PRINCIPAL, now=NOW, stamp=before), Accepted)
+    stamp = stamp_of(attack["stamp"]) if "stamp" in attack else None
+    principal = attack.get("principal", PRINCIPAL)
+    return gate.check(bytes_of(attack), names=names, principal=principal, now=NOW, stamp=stamp)
+
+
+def stamp_of(changes: dict[str, Any]) -> Stamp:
+    """A stamp that is good but for `changes` (times may be written as "nan")."""
+    fields = {"sequence": 1, "issued": NOW - 1, "expires": NOW + 1, "principal": PRINCIPAL}
+    fields |= {"scene_version": SCENE_VERSION} | changes
+    return Stamp(**fields | {key: float(fields[key]) for key in ("issued", "expires")})
+
+
+def stopped_at(verdict: Verdict) -> str:
+    """The stage that refused, or "accepted"."""
+    return "accepted" if isinstance(verdict, Accepted) else verdict.stage
+
+
+def page(outcomes: list[str]) -> str:
+    """docs/attacks.md from what the gate did with each attack."""
+    pairs = list(zip(ATTACKS, outcomes, strict=True))
+    met = Counter(attack["class"] for attack, outcome in pairs if outcome == attack["expected"])
+    rows = [
+        "| {} | {} | {} | {} |".format(
+            name,
+            sum(counts.values()),
+            " | ".join(str(counts[s] or "") for s in STAGES),
+            f"{met[name]}/{counts.total()}",
+        )
+        for name, counts in by_class().items()
+    ]
+    whole = Counter(attack["expected"] for attack in ATTACKS)
+    total = " | ".join(f"**{whole[stage]}**" for stage in STAGES)
+    rows.append(f"| **all** | **{len(ATTACKS)}** | {total} | **{met.total()}/{len(ATTACKS)}** |")
+    let_in = [f"| {a['class']} | {a['name']} | {a['then']} |" for a in ATTACKS if a["expected"] == "accepted"]
+    return PREFACE + "\n".join(rows) + MIDDLE + "\n".join(let_in) + "\n"
+
+
+def by_class() -> dict[str, Counter[str]]:
+    """How many attacks of each class are expected at each stage, in the order of the file."""
+    table: dict[str, Counter[str]] = {}
+    for attack in ATTACKS:
+        table.setdefault(attack["class"], Counter())[attack["expected"]] += 1
+    return table
+
+
+PREFACE = f"""# Attacks on the gate
+
+Each case in `tests/stories/contract_attacks.json` is one byte string, or one stamp around a good contract, with the
+stage that must stop it, written down beforehand. A test sends every one to a fresh gate (an arm's eight skills, a scene
+of five names) and compares. This page is written by `python -m tests.stories.contract_attacks`; a test keeps it current.
+
+The stages run in order and each sees the whole contract: **syntax** (bytes up to {MAX_BYTES // 1024} KiB, strict JSON,
+fields, types, array sizes), **authorization** (skill, robot, registry, principal, stamp), **envelope** (bounds, words,
+names of the scene, hidden characters in text). The last column counts the cases that ended where it was predicted.
+
+| class | cases | syntax | authorization | envelope | accepted | as predicted |
+|---|---:|---:|---:|---:|---:|---:|
+"""
+
+MIDDLE = """
+
+## What the gate lets in, and why
+
+No schema can see these: they are valid contracts. What has to answer for each is named; where it says *nobody*, nothing
+in the machine can know, and a person must not rely on it.
+
+| class | case | who answers for it |
+|---|---|---|
+"""
+
+if __name__ == "__main__":
+    PAGE.write_text(page([stopped_at(attempt(attack)) for attack in ATTACKS]))

@@ -1,0 +1,239 @@
+"""A broken set-up ends before anything moves: exit code 5 and a message that says what, where, and how to mend it."""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dualbrain.cli.common.paths import cache
+from dualbrain.cli.main import call
+from dualbrain.core import weights
+from dualbrain.errors import InvalidSetup
+from dualbrain.memory.embedding.text_encoder import ENCODER, TOKENIZER
+from dualbrain.memory.ledger.ledger import Ledger
+from dualbrain.runtime.session import FILES
+from dualbrain.simulation.scenes.generators.catalogue import open_scene
+from dualbrain.simulation.scenes.scene_spec import save_scene
+from tests.stories.story_session import contract, pause, play, settings
+
+
+@pytest.fixture
+def said(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder with its own home; returns (exit code, stderr); stdout must stay empty."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DUALBRAIN_HOME", str(tmp_path / "home"))
+    (tmp_path / "pause.json").write_text(pause())
+
+    def run(*arguments):
+        code = call([*arguments])
+        out, err = capsys.readouterr()
+        assert out == ""
+        return code, " ".join(err.split())
+
+    return run
+
+
+def start(*changes):
+    return ("run", "put the red cube in the bowl", "--contract", "pause.json", "--headless", *changes)
+
+
+def no_run_began(folder):
+    return not list(folder.rglob("episode.mcap")) and not list(folder.rglob("*.sqlite"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (("--scene", "forarm:3"), "'forearm'"),
+        (("--scene", "tabeltop"), "'tabletop'"),
+        (("--scene", "here be dragons"), "FAMILY:SEED"),
+        (("--scene", "missing.json"), "missing.json"),
+        (("--robot", "pandaa"), "'panda'"),
+        (("--goal", "put the red cub in the blue bowl", "--scene", "bare:0"), "'red_cube'"),
+        (("--goal", "dance"), "put THING in DESTINATION"),
+        (("--out", "pause.json"), "pause.json"),
+        (("--out", "pause.json/below"), "pause.json/below"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_a_wrong_name_or_file_is_told(said, tmp_path, wrong, words):
+    code, err = said(*start(*wrong))
+    assert code == 5
+    assert words in err
+    assert no_run_began(tmp_path)
+
+
+def test_a_contract_file_that_is_not_there(said, tmp_path):
+    code, err = said("run", "--contract", "nope.json", "--headless")
+    assert code == 5
+    assert "nope.json" in err
+    assert no_run_began(tmp_path)
+
+
+def test_an_unknown_planner_is_answered_with_the_closest(said, tmp_path):
+    code, err = said("run", "do it", "--planner", "qwen2.5-coder-1.5b-instrukt", "--headless")
+    assert code == 5
+    assert "Closest: 'qwen2.5-coder-1.5b-instruct'" in err
+    assert no_run_began(tmp_path)
+
+
+def test_no_words_and_no_contract(said, tmp_path):
+    code, err = said("run", "  ", "--headless")
+    assert code == 2  # usage: nothing here is broken
+    assert "dualbrain run" in err  # an example of how to say it
+    assert no_run_began(tmp_path)
+
+
+# --- scene files --------------------------------------------------------------------------------------------------
+
+
+def damaged(change):
+    """The bare scene as JSON objects with `change` applied."""
+    scene = json.loads(msgspec.json.encode(open_scene("bare:0")))
+    change(scene)
+    return msgspec.json.encode(scene)
+
+
+SCENES = {
+    "broken JSON": (b'{"robot": "panda", "things": [', "scene file"),
+    "not text": (b"\xff\xfe\x00", "scene file"),
+    "an unknown field": (damaged(lambda s: s.update(gravity=1.0)), "gravity"),
+    "an unknown field inside": (damaged(lambda s: s["things"][0].update(sticky=True)), "sticky"),
+    "a missing field": (damaged(lambda s: s["things"][0].pop("mass")), "mass"),
+    "another schema version": (damaged(lambda s: s.update(schema_version=99)), "schema_version"),
+    "a name twice": (damaged(lambda s: s["things"].append(s["things"][0])), "red_cube"),
+    "no weight": (damaged(lambda s: s["things"][0].update(mass=0.0)), "mass"),
+    "a wrong type": (damaged(lambda s: s["things"][0].update(position="there")), "position"),
+    "an unknown shape": (damaged(lambda s: s["things"][0]["shape"].update(shape="torus")), "shape"),
+    "a number beyond floats": (damaged(lambda s: None).replace(b'"seed":0', b'"seed":1e999'), "seed"),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_bad_scene_file_is_told_with_field_and_path(said, tmp_path, name):
+    data, field = SCENES[name]
+    (tmp_path / "scene.json").write_bytes(data)
+    code, err = said(*start("--scene", "scene.json"))
+    assert code == 5
+    assert field in err
+    assert "scene.json" in err
+    assert no_run_began(tmp_path)
+
+
+def test_a_saved_scene_is_the_same_scene(tmp_path):
+    save_scene(open_scene("tabletop:5"), tmp_path / "scene.json")
+    assert open_scene(str(tmp_path / "scene.json")) == open_scene("tabletop:5")
+
+
+# --- weights ------------------------------------------------------------------------------------------------------
+
+
+def test_missing_weights_name_the_command_that_fetches_them(said, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    code, err = said(*start())
+    assert code == 5
+    assert f"dualbrain models fetch {ENCODER}" in err
+    assert no_run_began(tmp_path)
+
+
+def test_a_weight_file_with_one_wrong_bit_is_refused(said, tmp_path, monkeypatch):
+    here = tmp_path / "cache" / "dualbrain"
+    here.mkdir(parents=True)
+    for name in (ENCODER, TOKENIZER):
+        shutil.copy(weights.locate(name, cache()), here)
+    victim = here / weights.find_file(TOKENIZER).filename
+    data = bytearray(victim.read_bytes())
+    data[len(data) // 2] ^= 1
+    victim.write_bytes(data)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    code, err = said(*start())
+    assert code == 5
+    assert "SHA-256" in err
+    assert f"dualbrain models fetch {TOKENIZER}" in err
+    assert no_run_began(tmp_path)
+
+
+# --- folders and the ledger ---------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path):
+    story = play(settings(tmp_path), pause())
+    before = {path.name: path.read_bytes() for path in story.config.out.iterdir()}
+    moved = []
+    with pytest.raises(InvalidSetup, match="--out"):
+        play(settings(tmp_path), pause(), before=moved.append)
+    assert moved == []
+    assert {path.name: path.read_bytes() for path in story.config.out.iterdir()} == before
+    assert set(before) <= set(FILES)
+
+
+def test_a_run_in_the_folder_at_hand_has_that_folders_name(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert play(settings(tmp_path, out=Path()), pause()).episode.id == "here"
+
+
+def test_a_ledger_that_another_process_writes_is_told(said, tmp_path):
+    ledger = Ledger(tmp_path / "taken.sqlite", holder="a long run", now=0.0)
+    code, err = said(*start("--ledger", "taken.sqlite"))
+    ledger.close()
+    assert code == 5
+    assert f"process {os.getpid()} (a long run)" in err
+    assert "--ledger" in err
+
+
+def test_a_damaged_ledger_is_told_and_left_alone(said, tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    path.write_bytes(b"SQLite format 3\x00" + b"\x07" * 5000)
+    before = path.read_bytes()
+    code, err = said(*start("--ledger", "ledger.sqlite"))
+    assert code == 5
+    assert "ledger" in err
+    assert path.read_bytes() == before
+
+
+# --- graphics and ports -------------------------------------------------------------------------------------------
+
+RUN = "import sys; from dualbrain.cli.main import call; sys.exit(call(sys.argv[1:]))"
+
+
+def outside(folder, *arguments, **environment):
+    """A command in a process of its own."""
+    (folder / "pause.json").write_text(contract(("hold", {"duration": 0.5})))
+    command = [sys.executable, "-c", RUN, *arguments, "--ledger", "ledger.sqlite"]
+    home = {"DUALBRAIN_HOME": str(folder), "COLUMNS": "500"}
+    return subprocess.run(
+        command, cwd=folder, env={**os.environ, **home, **environment}, capture_output=True, text=True, check=False
+    )  # fmt: skip
+
+
+def test_without_gl_the_run_works_and_says_that_pictures_are_missing(tmp_path):
+    gl = "bogus"
+    done = outside(tmp_path, *start("--scene", "bare:0", "--out", "run"), MUJOCO_GL=gl)
+    assert "no pictures" in done.stderr
+    assert gl in done.stderr
+    assert "succeeded" in done.stderr
+    assert done.returncode == 1  # a pause is no success on truth, and no violation
+    report = (tmp_path / "run" / "report.html").read_text()
+    assert "data:image/jpeg" not in report
+    assert {path.name for path in (tmp_path / "run").iterdir()} == set(FILES)
+
+
+def test_a_port_in_use_is_told_and_another_one_serves(tmp_path):
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        port = busy.getsockname()[1]
+        shown = [
+            word for word in start("--scene", "bare:0", "--out", "run", "--port", str(port)) if word != "--headless"
+        ]
+        done = outside(tmp_path, *shown, MUJOCO_GL="disable")
+    assert f"Port {port} is in use" in done.stderr
+    assert "live view: http://127.0.0.1:" in done.stderr
+    assert done.returncode == 1

@@ -1,0 +1,42 @@
+"""Words to motion in two processes and real time: the same episode, ledger and replay as in lockstep."""
+
+import json
+
+import pytest
+
+from dualbrain.cli.main import call
+from dualbrain.control.recording.replay import replay
+from dualbrain.planner.scripted import ScriptedPlanner
+from dualbrain.runtime.live_session import ADDRESS, LiveSession
+from dualbrain.runtime.session import Onlooker
+from tests.stories.story_session import contract, ledger_episodes, pause, settings, times
+
+pytestmark = pytest.mark.slow
+"""Real time: it needs a machine that does nothing else."""
+
+
+def test_a_live_run_refuses_asks_again_moves_and_replays_bit_for_bit(tmp_path):
+    config = settings(tmp_path)
+    wrong = contract(("hold", {"duration": 99.0}))
+    events = []
+    with LiveSession(config, times(), {}, ScriptedPlanner((wrong, pause()))) as session:
+        finished = session.run(Onlooker(events.append))
+    episode = finished.episode
+    assert [type(attempt.verdict).__name__ for attempt in episode.attempts] == ["Rejected", "Accepted"]
+    assert episode.attempts[0].verdict.stage == "envelope"
+    assert (episode.outcome.kind, episode.outcome.Delta) == ("succeeded", 0.0)
+    assert episode.judgement.violations == ()
+    assert len(ledger_episodes(config.ledger)) == 1
+    assert len(finished.trace) > 500
+    assert replay(config.out / "episode.mcap").identical
+    punctuality = json.loads((config.out / "punctuality.json").read_bytes())
+    assert punctuality["interval"][0] < 2e-3
+    assert not (config.out / ADDRESS).exists(), "the door is gone with the gatekeeper"
+    assert any(event.kind == "action" for event in events)
+
+
+def test_a_hand_needs_a_gatekeeper_and_the_filter_cannot_be_off(tmp_path, capsys):
+    assert call(["operate", "pause", "--socket", str(tmp_path / "none"), "--keys", str(tmp_path / "keys")]) == 5
+    assert "dualbrain gatekeeper" in capsys.readouterr().err
+    assert call(["run", "x", "--live", "--filter", "off"]) == 2
+    assert call(["run", "x", "--live", "--speed", "200%"]) == 2

@@ -1,0 +1,108 @@
+"""Mutants are small, reproducible changes of code; verdicts name the test that noticed."""
+
+import ast
+import itertools
+import signal
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tools.mutation.mutation_sites import KINDS
+from tools.mutation.sampling import apply, files, mutants, sites
+from tools.mutation.sandbox import judge, meaning
+from tools.mutation.tokens import tokens
+
+ROOT = Path(__file__).resolve().parents[2]
+C = """/* a + b */
+#include "x.h"
+static dbk_real f(const dbk_model *model, const dbk_real *v, int32_t n) {
+  dbk_real sum = (dbk_real)0;
+  for (int32_t k = 0; k < n; ++k) { sum += model->period * v[k]; } // v[3] < 2
+  if (!(sum >= (dbk_real)-1)) { return dbk_min(sum, v[0] - v[1]); }
+  return sum;
+}
+"""
+PYTHON = '''"""Words - no code [0]."""
+def f(body, lower):
+    """a < b + 1"""
+    return {"x < y": 2.0 * body.alpha + lower[0]} if body.n > 3 else min(lower)
+'''
+
+
+def afters(source, suffix, kind):
+    return {apply("f", source, kind, s, choice).after for s in sites(source, suffix).get(kind, []) for choice in s[2]}
+
+
+def test_comments_strings_and_includes_are_left_alone():
+    assert "a" not in [word.text for word in tokens(C, ".c")]
+    assert "h" not in [word.text for word in tokens(C, ".c")]
+    assert {"Words", "y"}.isdisjoint(word.text for word in tokens(PYTHON, ".py"))
+    for kind in KINDS:
+        assert all("a + b" in after for after in afters(C, ".c", kind) if after.startswith("/*"))
+
+
+def test_every_kind_makes_the_mistake_it_is_named_after():
+    loop = "for (int32_t k = 0; k < n; ++k) { sum += model->period * v[k]; } // v[3] < 2"
+    assert loop.replace("+=", "-=") in afters(C, ".c", "sign")
+    assert loop.replace("v[k]", "v[k + 1]") in afters(C, ".c", "index")
+    assert loop.replace("model->period", "((dbk_real)57.3 * model->period)") in afters(C, ".c", "unit")
+    assert loop.replace("k < n", "k <= n") in afters(C, ".c", "comparison")
+    assert loop.replace("k = 0", "k = 1") in afters(C, ".c", "constant")
+    assert loop.replace(" * v[k]", "") in afters(C, ".c", "dropped")
+    check = "if (!(sum >= (dbk_real)-1)) { return dbk_min(sum, v[0] - v[1]); }"
+    assert check.replace("dbk_min", "dbk_max") in afters(C, ".c", "swap")
+    assert check.replace("!", "") in afters(C, ".c", "comparison")
+    assert check.replace(")-1", ")1") in afters(C, ".c", "sign")
+    assert check.replace(" - v[1]", "") in afters(C, ".c", "dropped")
+    line = 'return {"x < y": 2.0 * body.alpha + lower[0]} if body.n > 3 else min(lower)'
+    assert line.replace("body.alpha", "0.5 * body.alpha") in afters(PYTHON, ".py", "unit")
+    assert line.replace("min(", "max(") in afters(PYTHON, ".py", "swap")
+    assert line.replace("> 3", "< 3") in afters(PYTHON, ".py", "comparison")
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_a_seed_gives_the_same_mutants_and_each_only_once(seed):
+    first, second = ([m.key for m in itertools.islice(mutants(ROOT, seed), 200)] for _ in range(2))
+    assert first == second
+    assert len(set(first)) == 200
+    assert first != [m.key for m in itertools.islice(mutants(ROOT, seed + 1), 200)]
+
+
+def test_sixty_mutants_reach_every_file_and_every_kind():
+    drawn = list(itertools.islice(mutants(ROOT, 1), 60))
+    assert {m.file for m in drawn} == {str(path.relative_to(ROOT)) for path in files(ROOT)}
+    assert set(Counter(m.kind for m in drawn)) == set(KINDS)
+    for m in drawn:
+        source = (ROOT / m.file).read_text()
+        assert m.text != source
+        assert m.before != m.after
+        assert m.before.split() == " ".join(source.splitlines()[m.line - 1 :]).split()[: len(m.before.split())]
+
+
+def test_mutants_of_python_are_nearly_always_programs():
+    drawn = list(itertools.islice(mutants(ROOT, 3, ("src/dualbrain/safety/cbf/kernel.py",)), 60))
+    good = 0
+    for m in drawn:
+        try:
+            good += bool(ast.parse(m.text))
+        except SyntaxError:
+            continue
+    assert good > 50
+
+
+def test_verdicts():
+    rows = [{"test": "a", "cpu": 1.0}, {"test": "a", "outcome": "passed", "cpu": 2.0}, {"test": "b", "cpu": 2.0}]
+    failed = [*rows, {"test": "b", "outcome": "failed", "cpu": 3.0}]
+    assert judge(0, rows).caught is False
+    assert (judge(1, failed).by, judge(1, failed).test, judge(1, failed).seconds) == ("test", "b", 3.0)
+    assert (judge(-signal.SIGSEGV, rows).by, judge(-signal.SIGSEGV, rows).test) == ("crash", "b")
+    assert judge(-signal.SIGXCPU, rows).by == "timeout"
+    assert (judge(4, []).by, judge(4, []).test) == ("error", "collection")
+
+
+def test_a_type_that_nobody_evaluates_is_no_mistake():
+    text = "def f(x: int) -> list[int]:\n    return x[1]\n"
+    assert meaning(text) == meaning(text.replace("list[int]", "list[0]")) == meaning(text.replace("x: int", "x: str"))
+    assert meaning(text) != meaning(text.replace("x[1]", "x[0]"))
+    assert meaning("class A:\n    x: int\n") != meaning("class A:\n    x: str\n"), "classes may be made from those"

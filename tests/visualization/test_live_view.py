@@ -1,0 +1,110 @@
+"""The live view without a browser: shapes, colours, ports, and that it never holds up the control loop."""
+
+import socket
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dualbrain.control.recording.trace import Trace
+from dualbrain.core.geometry.shapes import Bowl, Box, Capsule, Cylinder, Sphere
+from dualbrain.errors import InvalidSetup, MissingPart
+from dualbrain.records import Episode, Scene
+from dualbrain.robots.loader import load_body
+from dualbrain.visualization.live.panel import final_html, lines_html, numbers_html
+from dualbrain.visualization.live.robot_view import clearance_colours, thinned
+from dualbrain.visualization.live.scene_view import surface
+from dualbrain.visualization.live.view import HOST, LiveView, free_port
+from tests.visualization.conftest import scene as made_up_scene
+from tests.visualization.sample_view_states import link_frames, moment
+
+SIZES = st.floats(0.01, 0.2)
+
+
+@settings(deadline=None, max_examples=30)
+@given(SIZES, SIZES, st.floats(0, 0.05))
+def test_shapes_have_their_size_and_grow_by_the_margin(a: float, b: float, margin: float) -> None:
+    extents = {
+        Sphere(a): (a, a, a), Capsule(a, b): (a, a, a + b), Cylinder(a, b): (a, a, b), Box((a, b, a)): (a, b, a),
+    }  # fmt: skip
+    for shape, half in extents.items():
+        low, high = surface(shape, margin).bounds
+        assert high == pytest.approx(np.array(half) + margin, rel=5e-3)
+        assert low == pytest.approx(-high, rel=5e-3)
+    low, high = surface(Bowl(0.1, 0.06, 0.005), margin).bounds
+    assert high == pytest.approx((0.1 + margin, 0.1 + margin, 0.06 + margin), rel=5e-3)
+    assert low[2] == pytest.approx(-margin, abs=1e-9)
+
+
+def test_colours_run_from_contact_to_clear() -> None:
+    red, amber, blue, far = clearance_colours(np.array([-0.01, 0.01, 0.08, np.inf])).astype(int)
+    assert red[0] > 2 * red[1] > red[2]
+    assert amber[0] > amber[1] > amber[2]
+    assert blue.tolist() == far.tolist()
+    assert blue[2] > blue[0]
+
+
+def test_thinning_a_surface_keeps_its_place() -> None:
+    sphere = surface(Sphere(0.1))
+    points, faces = thinned(np.asarray(sphere.vertices), np.asarray(sphere.faces), cell=0.03)
+    assert len(faces) < len(sphere.faces) / 3
+    assert np.abs(np.linalg.norm(points, axis=1) - 0.1).max() < 0.01
+    assert faces.max() < len(points)
+
+
+def test_the_test_kinematics_is_right() -> None:
+    body = load_body("panda")
+    tip = link_frames(body, np.array(body.home), 0.04)["hand"] @ np.array([*body.tool.translation, 1.0])
+    assert tip[2] == pytest.approx(0.4, abs=0.3)
+    stretched = link_frames(body, np.zeros(7), 0.0)["link7"]
+    assert stretched[:3, 3] == pytest.approx((0.088, 0.0, 0.333 + 0.316 + 0.384), abs=1e-9)
+
+
+def test_untrusted_lines_stay_text(episode: Episode) -> None:
+    assert "<img" not in lines_html(("<img src=x onerror=alert(1)>",))
+    assert repr(episode.outcome.h_min) in final_html(episode)
+
+
+def test_a_busy_port_is_told() -> None:
+    with socket.socket() as taken:
+        taken.bind((HOST, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert free_port(port, 20) > port
+        with pytest.raises(InvalidSetup, match="--port"):
+            free_port(port, 1)
+        with pytest.raises(InvalidSetup, match=str(port)):
+            LiveView(load_body("panda"), port, other_port=False)
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingPart, match="headless"):
+        LiveView(load_body("panda"), 18080)
+
+
+def test_showing_never_waits(trace: Trace, episode: Episode, capsys: pytest.CaptureFixture[str]) -> None:
+    body = load_body("panda")
+    things: Scene = made_up_scene()
+    view = LiveView(body, 18090)
+    try:
+        states = [moment(body, trace, things, k) for k in (0, 9000, 10600)]
+        begun = time.perf_counter()
+        for _ in range(2000):
+            for state in states:
+                view.show(state)
+        assert (time.perf_counter() - begun) / 6000 < 50e-6
+        assert "carry" in numbers_html(states[-1])
+        begun = time.perf_counter()
+        view.finish(episode, timeout=20.0)
+        assert time.perf_counter() - begun < 20.0
+        with socket.socket() as elsewhere, pytest.raises(OSError, match="in use"):
+            elsewhere.bind((HOST, view.port))
+    finally:
+        view.close()
+        view.close()
+    view.show(states[0])
+    assert capsys.readouterr().out == ""

@@ -1,0 +1,242 @@
+"""The report: self-contained, escaped, small, and sensible for every way a run can end."""
+
+import html
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dualbrain.control.recording.trace import Trace
+from dualbrain.memory.maintenance.projection import MemoryMap
+from dualbrain.records import Attempt, Episode, Outcome, SceneObject
+from dualbrain.robots.interface import RobotState
+from dualbrain.safety.barriers import BARRIERS
+from dualbrain.visualization.html.key_numbers import key_numbers
+from dualbrain.visualization.html.memory_map import map_section
+from dualbrain.visualization.html.page import Html, element, table
+from dualbrain.visualization.html.run_report import Snapshot, render_report, write_report
+from dualbrain.visualization.html.strip_chart import envelope, strip_chart
+from tests.visualization.conftest import Answer
+
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\"' & $x^2$ </style>"
+EMPTY = Trace(7)
+VOID = ("img", "meta", "br")
+
+
+class _Page(HTMLParser):
+    """Tags, attributes and text of a page; checks that elements nest."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.text = ""
+        self._open: list[str] = []
+        self.feed(page)
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def value(self, name: str) -> str | None:
+        """The exact value of a key number."""
+        at = self.attributes.index(("id", f"number-{name}"))
+        return dict(self.attributes[at : at + 2])["data-value"]
+
+
+@given(st.text())
+def test_text_never_becomes_markup(text: str) -> None:
+    page = _Page(element("div", text, element("p", text), title=text))
+    assert page.tags == ["div", "p"]
+    assert table(("a",), [(text,)]).count("<td") == 1
+
+
+@given(st.lists(st.floats(-1, 1), min_size=1, max_size=300), st.integers(1, 20))
+def test_thinning_keeps_order_ends_and_extremes(values: list[float], buckets: int) -> None:
+    t, y = np.arange(len(values)) * 0.1, np.array(values)
+    thin_t, thin_y = envelope(t, y, buckets)
+    assert np.all(np.diff(thin_t) > 0)
+    assert len(thin_t) <= 2 * buckets + 2
+    assert (thin_y.min(), thin_y.max(), thin_t[0], thin_t[-1]) == (y.min(), y.max(), t[0], t[-1])
+
+
+@pytest.fixture(scope="module")
+def page(episode: Episode, trace: Trace) -> str:
+    """The report of the good run with three snapshots."""
+    picture = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
+    return render_report(episode, trace, [Snapshot(t, f"at {t}", picture) for t in (0.0, 10.6, 20.0)])
+
+
+def test_the_page_stands_alone(page: str) -> None:
+    parsed = _Page(page)
+    assert not {"script", "link", "iframe", "object", "form"} & set(parsed.tags)
+    assert ("http-equiv", "Content-Security-Policy") in parsed.attributes
+    assert any((value or "").startswith("default-src 'none'; img-src data:;") for _, value in parsed.attributes)
+    for name, value in parsed.attributes:
+        assert not name.startswith("on")
+        if name in ("src", "href", "xlink:href"):
+            assert (value or "").startswith(("data:image/jpeg;base64,", "#"))
+    assert not re.search(r"url\((?!#)|@import", page)
+    assert len(page) < 3e6
+    assert "prefers-color-scheme: dark" in page
+    assert "#0101" not in page
+
+
+def test_numbers_are_those_of_the_episode(page: str, episode: Episode) -> None:
+    parsed = _Page(page)
+    assert float(parsed.value("Delta") or "nan") == episode.outcome.Delta
+    assert float(parsed.value("h_min") or "nan") == episode.outcome.h_min
+    assert float(parsed.value("intervention_frequency") or "nan") == episode.outcome.intervention_frequency
+    assert f"{1e3 * (episode.outcome.h_min or 0):.2f} mm at" in page
+    for told in (
+        "choose a speed of at most 0.4 m/s",
+        "/action_sequence/0/params/speed",
+        "0.5873",
+        "9f3c2ab1",
+        "e-0029",
+    ):
+        assert told in parsed.text
+
+
+def test_every_barrier_is_listed_with_the_ticks_it_bound(episode: Episode, trace: Trace) -> None:
+    told = msgspec.structs.replace(episode, binding={"workspace": 123})
+    page = render_report(told, trace)
+    assert all(html.escape(one.says) in page for one in BARRIERS.values())
+    assert ">123<" in page
+
+
+def test_hostile_text_is_only_text(episode: Episode, trace: Trace) -> None:
+    shot = episode.attempts[0]
+    proposal = msgspec.structs.replace(shot.proposal, text=HOSTILE, planner=HOSTILE)
+    verdict = msgspec.structs.replace(shot.verdict, got=HOSTILE, hint=HOSTILE, pointer=HOSTILE)
+    evil = msgspec.structs.replace(
+        episode,
+        instruction=HOSTILE,
+        attempts=(Attempt(proposal, verdict, 0.0),),
+        contract={"action_sequence": [{"skill": HOSTILE, "params": {"object": HOSTILE, HOSTILE: HOSTILE}}]},
+        scene=msgspec.structs.replace(
+            episode.scene, objects=tuple(_renamed(thing) for thing in episode.scene.objects[:2])
+        ),
+        versions={HOSTILE: HOSTILE},
+    )
+    parsed = _Page(render_report(evil, trace, [Snapshot(0.0, HOSTILE, np.zeros((4, 6, 3), np.uint8))]))
+    assert "script" not in parsed.tags
+    assert parsed.tags.count("img") == 1
+    assert not any(name == "onerror" for name, _ in parsed.attributes)
+    assert parsed.text.count(HOSTILE) > 8
+
+
+def _renamed(thing: SceneObject) -> SceneObject:
+    return msgspec.structs.replace(thing, name=HOSTILE)
+
+
+def test_what_the_planner_was_shown_stands_with_its_citation(episode: Episode, trace: Trace) -> None:
+    page = _Page(render_report(episode, trace))
+    for one in episode.recall.passages:
+        assert one.citation in page.text
+        assert one.text in page.text
+    silent = msgspec.structs.replace(episode, recall=msgspec.structs.replace(episode.recall, passages=()))
+    assert "Documents shown" not in render_report(silent, trace)
+
+
+def test_a_refused_contract_has_nothing_to_plot(refused: Episode) -> None:
+    page = render_report(refused, EMPTY)
+    parsed = _Page(page)
+    assert "No control was executed" in parsed.text
+    assert "No contract was accepted" in parsed.text
+    assert "svg" not in parsed.tags
+    assert parsed.value("Delta") == "None"
+    assert "refused at envelope" in parsed.text
+
+
+def test_a_run_that_was_taken_over_says_so(taken_over: Episode, trace: Trace) -> None:
+    short = Trace(7)
+    short.extend(trace.rows[:4000])
+    short.phases[:] = trace.phases
+    parsed = _Page(render_report(taken_over, short))
+    for told in ("taken over", "no progress for 1.5 s", "1 safety violation", "link5 × forearm", "not run", "12.7"):
+        assert told in parsed.text
+
+
+@pytest.mark.parametrize("ticks", [1, 2])
+def test_the_shortest_runs(episode: Episode, ticks: int) -> None:
+    from tests.control.recording.sample_ticks import fill  # noqa: PLC0415
+
+    trace = Trace(7)
+    fill(trace, ticks, odd=True)
+    stopped = msgspec.structs.replace(episode, outcome=Outcome("stopped", "stale state", 2.0, 2.0, 2.0, 1.0, -np.inf))
+    assert "svg" in _Page(render_report(stopped, trace)).tags
+
+
+def test_the_file_is_what_was_rendered(tmp_path: Path, refused: Episode) -> None:
+    write_report(tmp_path / "report.html", refused, EMPTY)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(refused, EMPTY)
+
+
+def test_numbers_say_when_nothing_was_measured(refused: Episode, episode: Episode) -> None:
+    assert {one.text for one in key_numbers(refused) if one.name in ("Delta", "h_min", "intervention_frequency")} == {
+        "–"
+    }
+    assert all(isinstance(one.value, float | int) for one in key_numbers(episode))
+    assert isinstance(element("p"), Html)
+
+
+def test_the_memory_map_is_drawn_when_there_is_one():
+    points = np.random.default_rng(0).standard_normal((5, 2))
+    kinds, statuses = ("succeeded", "failed", "rejected", "succeeded", "failed"), ("active",) * 4 + ("quarantined",)
+    drawn = MemoryMap(points, np.array([0.1, 0.3, 0.5, 0.7, 0.95]), tuple("abcde"), kinds, statuses, 0.61)
+    page = map_section(drawn, "c")
+    assert page.count("<svg") == 1
+    assert "5 memories" in page
+    assert "61%" in page
+    few = MemoryMap(points[:2], np.ones(2), ("a", "b"), kinds[:2], statuses[:2], 1.0)
+    assert "Too few memories" in map_section(few, "a")
+
+
+@pytest.mark.parametrize(
+    ("n", "width", "told"),
+    [
+        (2, 3, ("Driving", "m/s, forward", "Turning", "rad/s, to the left")),
+        (9, 10, ("Driving", "m/s, forward", "Turning", "Joint speed")),
+        (6, 6, ("Joint speed", "rad/s, Euclidean norm")),
+    ],
+)
+def test_speeds_are_told_by_what_moves_each_in_its_unit(
+    n: int, width: int, told: tuple[str, ...], episode: Episode
+) -> None:
+    run = Trace(n, width)
+    for k in range(20):
+        u = np.full(n, -0.1 * k)
+        run.append(
+            k * 0.02, RobotState(k * 0.02, k, np.zeros(width), u, 0.0, (0.0, 0.0)), u, Answer(u, 0, 0.0, 0.0, 0.0, 0.3),
+            action=0, phase="drive",
+        )  # fmt: skip
+    drawn = html.unescape(str(strip_chart(episode, run)))
+    assert [word for word in ("Driving", "Turning", "Joint speed") if word in drawn] == [
+        word for word in told if word[0].isupper()
+    ]
+    assert all(word in drawn for word in told)
+
+
+def test_a_run_without_words_says_what_was_run(episode: Episode, trace: Trace) -> None:
+    page = _Page(render_report(msgspec.structs.replace(episode, instruction=""), trace, ()))
+    assert "a given contract" in page.text
+    assert "“”" not in page.text

@@ -1,0 +1,99 @@
+"""What the kernel needs at worst: stack, memory, code size, QP iterations and the time of one step.
+
+    python tools/kernel_limits/__main__.py [--json] [--write-docs] [--scenes 12] [--steps 10000] [--tries 3000]
+
+Stack, calls and symbols are read off the compiled objects (no recursion, no heap, no libm: an exit code of 1 tells
+otherwise). Iterations, rows and times come from adversarial closed loops of the shipped Panda filter, and from a search
+for the worst moment that starts at the worst moments of the loops.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from dualbrain.safety.cbf.kernel import kernel_hash
+from experiments.engine.provenance import machine, revision
+from tools.kernel_limits.compiled import ROOT, measure, targets
+from tools.kernel_limits.report import page, table
+from tools.kernel_limits.worst_case_search import again, loop, make, panda, search, worst_program
+
+
+def main() -> int:
+    """Exit code 1 when an object refers to a library, takes memory, or recurses."""
+    asked = parse(sys.argv[1:])
+    with tempfile.TemporaryDirectory() as folder:
+        compiled = [measure(target, Path(folder) / str(i)) for i, target in enumerate(targets())]
+    found = {
+        "revision": revision(ROOT), "kernel": kernel_hash(), "machine": machine(), "compiled": compiled,
+        "steps": steps(asked.scenes, asked.steps, asked.tries),
+    }  # fmt: skip
+    sys.stdout.write((json.dumps(found) if asked.json else "\n".join(table(found))) + "\n")
+    if asked.write_docs:
+        (ROOT / "docs" / "kernel.md").write_text(page(found))
+    return int(any(one["not_allowed"] or one["recursion"] or one["addresses_taken"] for one in compiled))
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/kernel.md")
+    parser.add_argument("--scenes", type=int, default=12, help="closed loops, each in its own scene (default 12)")
+    parser.add_argument("--steps", type=int, default=10_000, help="steps of each loop (default 10000)")
+    parser.add_argument("--tries", type=int, default=3_000, help="changes tried from each start of the search")
+    return parser.parse_args(arguments)
+
+
+def steps(scenes: int, count: int, tries: int) -> dict[str, object]:
+    """Quantiles over all steps of all loops, their worst moments again, and what the search made of them."""
+    body, rng = panda(), np.random.default_rng(0)
+    seen, worst = [], []
+    for seed in range(scenes):
+        moments = list(loop(body, seed, count))
+        seen += [(m.iterations, m.rows, m.seconds) for m in moments]
+        worst += sorted(moments, key=lambda m: (m.iterations, m.rows))[-2:]
+        worst += sorted(moments, key=lambda m: m.seconds)[-2:]
+        print(f"scene {seed + 1}/{scenes}", file=sys.stderr, flush=True)
+    iterations, rows, seconds = (np.array(column) for column in zip(*seen, strict=True))
+    cold = [again(make(body, m.scene), m, times=50) for m in worst]
+    top = sorted(cold, key=lambda m: (m.iterations, m.rows))[-8:]
+    hardest = search(body, top, rng, tries)
+    program = worst_program(rng, 20 * tries)
+    return {
+        "scenes": scenes, "steps": len(seen), "iterations": spread(iterations), "rows": spread(rows),
+        "microseconds": spread(1e6 * seconds),
+        "histogram": [int(np.sum(iterations == k)) for k in range(int(iterations.max()) + 1)],
+        "repeated_microseconds": max(1e6 * m.seconds for m in cold),
+        "hardest": {"iterations": hardest.iterations, "rows": hardest.rows, "microseconds": 1e6 * hardest.seconds},
+        "program": {"iterations": program[0], "rows": program[1]}, "cap": cap(), "most_rows": most_rows(),
+    }  # fmt: skip
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    """Median, 99 and 99.9 of 100, and the greatest."""
+    return {"median": float(np.median(values)), "p99": float(np.quantile(values, 0.99)),
+            "p999": float(np.quantile(values, 0.999)), "max": float(values.max())}  # fmt: skip
+
+
+def cap() -> int:
+    """DBK_QP_CAP: a step that reaches it brakes."""
+    return _size("DBK_QP_CAP")
+
+
+def most_rows() -> int:
+    """DBK_MAX_ROWS."""
+    return _size("DBK_MAX_ROWS")
+
+
+def _size(name: str) -> int:
+    lines = (ROOT / "kernel/include/dbk/dbk_config.h").read_text().splitlines()
+    return next(int(line.split()[2]) for line in lines if line.startswith(f"#define {name} "))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

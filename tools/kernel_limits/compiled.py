@@ -1,0 +1,124 @@
+"""The kernel compiled for the host and for a microcontroller, and what its objects say."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.kernel_limits.elf import Object, plain, read
+from tools.kernel_limits.stack_usage import CallPath, cycles, deepest
+
+ROOT = Path(__file__).resolve().parents[2]
+ENTRIES = ("dbk_step", "dbk_project")
+MOVES = re.compile(r"(__aeabi_)?mem(cpy|set|move|clr)[48]?$|__stack_chk_fail$")
+BARE = (
+    "-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-sanitize=all", "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables", "-fstack-size-section", "-DDBK_MAX_OBSTACLES=48",
+)  # fmt: skip
+ZIG = (sys.executable, "-m", "ziglang", "cc")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A compiler and its flags for one machine."""
+
+    name: str
+    command: tuple[str, ...]
+    version: tuple[str, ...]
+
+
+def targets() -> list[Target]:
+    """The host as shipped, in float64, and two microcontrollers with room for 48 obstacles.
+
+    gcc's stack report leaves out the 128 bytes that x86-64 leaf functions may use below the stack: switched off here.
+    """
+    flags = tuple(shipped_flags())
+    small = tuple(flag for flag in flags if not flag.startswith("-O"))
+    host = ("gcc", *flags, "-fstack-usage", *(["-mno-red-zone"] if platform.machine() == "x86_64" else []))
+    return [
+        Target("host, float32", host, ("gcc", "--version")),
+        Target("host, float64", (*host, "-DDBK_DOUBLE"), ("gcc", "--version")),
+        Target("Cortex-M7, -O2", (*ZIG, *BARE, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-O2"), (*ZIG, "--version")),
+        Target("Cortex-M7, -Os", (*ZIG, *BARE, *small, "-mcpu=cortex_m7+fp_armv8d16sp", "-Os"), (*ZIG, "--version")),
+        Target("Cortex-M4, -Os", (*ZIG, *BARE, *small, "-mcpu=cortex_m4+vfp4d16sp", "-Os"), (*ZIG, "--version")),
+    ]
+
+
+def shipped_flags() -> list[str]:
+    """DBK_FLAGS of CMakeLists.txt."""
+    found = re.search(r"set\(DBK_FLAGS ([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
+    return found.group(1).split() if found else []
+
+
+def call(command: tuple[str, ...]) -> str:
+    """Run a compiler; zig keeps its products beside ours."""
+    place = {name: str(ROOT / "build" / "zig") for name in ("ZIG_LOCAL_CACHE_DIR", "ZIG_GLOBAL_CACHE_DIR")}
+    return subprocess.run(command, env=os.environ | place, capture_output=True, text=True, check=True).stdout
+
+
+def measure(target: Target, folder: Path) -> dict[str, object]:
+    """Code, stack and symbols of one target; `folder` takes the objects."""
+    folder.mkdir(parents=True, exist_ok=True)
+    objects: list[Object] = []
+    stack: dict[str, int] = {}
+    for source in sorted((ROOT / "kernel/src").glob("*.c")):
+        out = folder / f"{source.stem}.o"
+        call((*target.command, "-std=c99", "-ffunction-sections", f"-I{ROOT / 'kernel/include'}", "-c", str(source),
+              "-o", str(out)))  # fmt: skip
+        objects.append(read(out))
+        stack |= {f"{plain(name)}": size for name, size in objects[-1].stack.items()}
+        report = out.with_suffix(".su")
+        stack |= _reported(report.read_text()) if report.exists() else {}
+    return {
+        "target": target.name,
+        "compiler": call(target.version).splitlines()[0],
+        **summary(objects, stack),
+        "sizes": sizes(target, folder),
+    }
+
+
+def summary(objects: list[Object], stack: dict[str, int]) -> dict[str, object]:
+    """Worst call paths, recursion, and every symbol that no object of the kernel defines."""
+    calls: dict[str, set[str]] = {}
+    for one in objects:
+        for caller, callees in one.calls.items():
+            calls.setdefault(caller, set()).update(callees)
+    ours = {plain(name) for one in objects for name in one.code}
+    foreign = sorted(
+        {name for one in objects for name in one.undefined if name not in ours and not name.startswith(".")}
+    )
+    circles = cycles(calls)
+    paths = {entry: CallPath((), -1) if circles else deepest(entry, calls, stack) for entry in ENTRIES}
+    return {
+        "code": sum(size for one in objects for size in one.code.values()),
+        "frames": dict(sorted(stack.items(), key=lambda item: -item[1])),
+        "unsized": sorted(ours - set(stack)),
+        "paths": {entry: {"functions": path.functions, "stack": path.stack} for entry, path in paths.items()},
+        "recursion": circles,
+        "addresses_taken": sorted({name for one in objects for name in one.addresses_taken}),
+        "foreign": foreign,
+        "not_allowed": [name for name in foreign if not MOVES.match(name)],
+    }
+
+
+def _reported(text: str) -> dict[str, int]:
+    """`file:line:column:function<tab>bytes<tab>kind` of gcc -fstack-usage."""
+    rows = (line.split("\t") for line in text.splitlines())
+    return {name.rsplit(":", 1)[-1]: int(size) for name, size, _ in rows}
+
+
+def sizes(target: Target, folder: Path) -> dict[str, int]:
+    """Bytes of the structures that a caller provides, read off the symbols of an object."""
+    source = folder / "sizes.c"
+    names = ("dbk_model", "dbk_scene", "dbk_ctx", "dbk_in", "dbk_out")
+    source.write_text('#include "dbk/dbk.h"\n' + "".join(f"char size_of_{n}[sizeof({n})] = {{1}};\n" for n in names))
+    out = folder / "sizes.o"
+    call((*target.command, f"-I{ROOT / 'kernel/include'}", "-c", str(source), "-o", str(out)))
+    listing = call(("nm", "-S", str(out))).split("\n")
+    rows = (line.split() for line in listing if "size_of_" in line)
+    return {row[-1].removeprefix("size_of_"): int(row[1], 16) for row in rows}

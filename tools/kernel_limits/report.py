@@ -1,0 +1,88 @@
+"""The figures as tables, and docs/kernel.md."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+
+def table(found: dict[str, Any]) -> list[str]:
+    """Every figure, as Markdown."""
+    return [*_memory(found["compiled"]), "", *_stack(found["compiled"]), "", *_symbols(found["compiled"]), "",
+            *_steps(found["steps"])]  # fmt: skip
+
+
+def _memory(compiled: list[dict[str, Any]]) -> list[str]:
+    names = list(compiled[0]["sizes"])
+    lines = [f"| target | compiler | code | {' | '.join(names)} | stack, worst |", "|" + "---|" * (len(names) + 4)]
+    for one in compiled:
+        stack = max(path["stack"] for path in one["paths"].values())
+        parts = [one["target"], one["compiler"], one["code"], *one["sizes"].values(), stack]
+        lines.append(
+            "| " + " | ".join(f"{p:,}".replace(",", " ") if isinstance(p, int) else str(p) for p in parts) + " |"
+        )
+    whose = "Bytes; `dbk_model`, `dbk_scene` and `dbk_ctx` are the caller's, one each for a robot."
+    return [*lines, "", f"{whose} The host has room for 512", "obstacles, the microcontrollers for 48."]
+
+
+def _stack(compiled: list[dict[str, Any]]) -> list[str]:
+    lines = []
+    for one in (one for one in compiled if "float32" in one["target"] or "M7, -O2" in one["target"]):
+        lines += [f"Frames of {one['target']} [bytes]:", "", "| function | frame |", "|---|---|"]
+        lines += [f"| `{name}` | {size} |" for name, size in one["frames"].items() if size >= 64]
+        for entry, path in one["paths"].items():
+            calls = " → ".join(f"`{name}`" for name in path["functions"])
+            lines += ["", f"Worst path of `{entry}`: {calls}, {path['stack']} bytes."]
+        lines.append("")
+    return lines[:-1]
+
+
+def _symbols(compiled: list[dict[str, Any]]) -> list[str]:
+    lines = ["| target | recursion | function pointers | from outside | not allowed |", "|---|---|---|---|---|"]
+    for one in compiled:
+        cells = [one["target"], one["recursion"], one["addresses_taken"], one["foreign"], one["not_allowed"]]
+        lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
+    return lines
+
+
+def _cell(value: Any) -> str:
+    return value if isinstance(value, str) else ", ".join(map(str, value)) or "none"
+
+
+def _steps(s: dict[str, Any]) -> list[str]:
+    lines = [f"{s['steps']} steps in {s['scenes']} scenes:", "", "| per step | median | p99 | p99.9 | max | limit |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for title, key, limit in (("QP iterations", "iterations", s["cap"]), ("rows", "rows", s["most_rows"]),
+                              ("time [µs]", "microseconds", "")):  # fmt: skip
+        cells = [f"{s[key][name]:.4g}" for name in ("median", "p99", "p999", "max")]
+        lines.append(f"| {title} | {' | '.join(cells)} | {limit} |")
+    most = max(s["histogram"])
+    bars = [f"{k:3} {count:8} {'#' * max(1, round(50 * count / most)) if count else ''}".rstrip()
+            for k, count in enumerate(s["histogram"])]  # fmt: skip
+    hard, program = s["hardest"], s["program"]
+    return [
+        *lines, "", "Times are processor time of one C step with its clock reads, warm started, on a busy machine;",
+        f"the slowest moments repeated alone, without warm start, take {s['repeated_microseconds']:.1f} µs at most.",
+        "", f"Worst moment found by search: {hard['iterations']} iterations with {hard['rows']} rows, "
+        f"{hard['microseconds']:.1f} µs without warm start. Worst QP by itself (8 controls, any rows): "
+        f"{program['iterations']} iterations with {program['rows']} rows. The cap brakes.",
+        "", "Steps by QP iterations:", "", "```", *bars, "```",
+    ]  # fmt: skip
+
+
+def page(found: dict[str, Any]) -> str:
+    """docs/kernel.md."""
+    return "\n".join([
+        "# The compiled kernel",
+        "",
+        f"Written by `tools/kernel_limits/__main__.py --write-docs` on {datetime.now(UTC):%Y-%m-%d}, revision "
+        f"{found['revision']}, kernel {found['kernel']}, {found['machine']}.",
+        "",
+        "The kernel is C99 without heap, recursion, globals, libm or function pointers; what follows is read off the",
+        "objects. Its answers are the same bits from gcc (-O0, -O1, -O2, -O3, -Os, -march=native, with and without",
+        "vectors) and clang (-O0 to -O3, -Os, with and without fused multiply-add): `tests/kernel` compares hashes",
+        "over every bit of every answer of cases that together run every line.",
+        "",
+        *table(found),
+        "",
+    ])  # fmt: skip

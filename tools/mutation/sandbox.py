@@ -1,0 +1,198 @@
+"""A scratch copy of the project in which one file at a time is changed, compiled and tested."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.mutation.sampling import Mutant
+
+COPIED = (
+    "kernel", "src", "tests", "vectors", "benchmarks", "experiments", "tools", "docs",
+    "pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE",
+)  # fmt: skip
+BUILDS = ("_kernel", "_kernel64")
+"""What is compiled: the same sources as the wider builds."""
+SHARP_NAMES = ("step_internals", "active_set", "numeric_limits", "model_upload", "relaxation_reference", "certificate")
+SHARP = tuple(f"tests/safety/kernel_step/test_{name}.py" for name in SHARP_NAMES)
+"""These run first, by themselves: number by number against definitions, in seconds."""
+TESTS = ("tests/safety", "tests/invariants", "tests/kernel/test_buffer_capacity.py")
+LEFT_OUT = (
+    *(f"tests/safety/kernel/test_{name}.py" for name in ("step_vectors", "build_variants")),
+    *(f"tests/safety/supervisor/test_{name}.py" for name in ("supervisor", "loop_delay")),
+)
+"""Recorded answers and comparisons of builds notice every change of a bit and say nothing about a law; the supervisor's
+tests call no kernel; those of lateness need the wide builds, which are not made here."""
+SECONDS_SHARP, SECONDS_LEAST, TIMES_BASELINE = 30.0, 60.0, 5.0
+"""Processor time that the sharp tests may take [s]; the others: seconds, or so many times the unmutated run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the tests said: `caught` by `test` ("" if nothing noticed), how, and after how much processor time [s]."""
+
+    caught: bool
+    by: str
+    test: str
+    seconds: float
+
+
+class Workshop:
+    """One scratch folder: sources, objects, tests. Not for two threads at once."""
+
+    def __init__(self, root: Path, folder: Path, limit: float = SECONDS_LEAST) -> None:
+        """`limit` [s] is the processor time that one run of the tests may take; a busy machine changes nothing."""
+        self.root, self.folder, self.limit = root, folder, limit
+        self._tools = Path(sys.executable).parent
+
+    # --- set-up -----------------------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Copy what git knows or would, and compile it once."""
+        self._copy()
+        listed = self.folder / "CMakeLists.txt"
+        # no reconfiguring when a source changes: that would compile the binding again because of the hash in it
+        listed.write_text(re.sub(r"^.*CMAKE_CONFIGURE_DEPENDS.*\n", "", listed.read_text(), flags=re.MULTILINE))
+        build = self.folder / "build"
+        arguments = ["-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}"]
+        self._call([self._tool("cmake"), *arguments, "-S", str(self.folder), "-B", str(build)], check=True)
+        self._call([self._tool("ninja"), "-C", str(build), *self._libraries()], check=True)
+        self._install()
+        self._original = self._objects()
+        self._sources: dict[str, str] = {}
+
+    def _copy(self) -> None:
+        listing = subprocess.run(
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *COPIED],
+            cwd=self.root, capture_output=True, text=True, check=True,
+        ).stdout  # fmt: skip
+        wanted = {
+            name for name in listing.split("\0") if name and not name.endswith(".so") and (self.root / name).is_file()
+        }
+        for old in (p for top in COPIED for p in (self.folder / top).rglob("*") if p.is_file()):
+            if str(old.relative_to(self.folder)) not in wanted:
+                old.unlink()
+        for name in wanted:
+            target = self.folder / name
+            if not target.exists() or target.read_bytes() != (self.root / name).read_bytes():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(self.root / name, target)
+
+    def _tool(self, name: str) -> str:
+        beside = self._tools / name
+        return str(beside) if beside.exists() else name
+
+    @staticmethod
+    def _libraries() -> list[str]:
+        return [name + sysconfig.get_config_var("EXT_SUFFIX") for name in BUILDS]
+
+    def _install(self) -> None:
+        for name in self._libraries():
+            shutil.copyfile(self.folder / "build" / name, self.folder / "src/dualbrain/safety/cbf/compiled" / name)
+
+    def _objects(self) -> str:
+        """A hash over the compiled kernel, without the names and times that an archive holds."""
+        digest = hashlib.sha256()
+        for path in sorted((self.folder / "build").rglob("*.c.o")):
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+    # --- one mutant -------------------------------------------------------------------------------------------
+
+    def make(self, mutant: Mutant) -> str:
+        """Put the mutant in place: "" when it can be tested, else why not ("does not compile", "same object code")."""
+        path = self.folder / mutant.file
+        self._sources.setdefault(mutant.file, path.read_text())
+        path.write_text(mutant.text)
+        python = path.suffix == ".py"
+        if python and not self._compiles(mutant.text):
+            return "does not compile"
+        if python and meaning(mutant.text) == meaning(self._sources[mutant.file]):
+            return "same object code"
+        if self._call([self._tool("ninja"), "-C", str(self.folder / "build"), *self._libraries()]).returncode:
+            return "does not compile"
+        if not python and self._objects() == self._original:
+            return "same object code"
+        self._install()
+        return ""
+
+    def undo(self, mutant: Mutant) -> None:
+        """The original text again; the next `make` compiles it."""
+        (self.folder / mutant.file).write_text(self._sources[mutant.file])
+
+    @staticmethod
+    def _compiles(text: str) -> bool:
+        try:
+            compile(text, "mutant", "exec")
+        except SyntaxError:
+            return False
+        return True
+
+    # --- tests ------------------------------------------------------------------------------------------------
+
+    def test(self, order: Path | None = None, *, first_failure: bool = True) -> tuple[Verdict, list[dict]]:
+        """Run the laws, the sharp ones first; the verdict and what each test did."""
+        verdict, rows = self._run(list(SHARP), SECONDS_SHARP, None, first_failure=first_failure)
+        if verdict.caught:
+            return verdict, rows
+        others = [*TESTS, *(f"--ignore={path}" for path in (*LEFT_OUT, *SHARP))]
+        verdict, more = self._run(others, self.limit, order, first_failure=first_failure)
+        return verdict, rows + more
+
+    def _run(
+        self, tests: list[str], limit: float, order: Path | None, *, first_failure: bool
+    ) -> tuple[Verdict, list[dict]]:
+        verdicts = self.folder / "build" / "verdicts.jsonl"
+        verdicts.unlink(missing_ok=True)
+        command = ["prlimit", f"--cpu={round(limit)}", sys.executable, "-S", "-m", "pytest", "-q",
+                   "-p", "tools.mutation.pytest_plugin", "-p", "no:cacheprovider",
+                   "--rootdir", str(self.folder), "-c", str(self.folder / "pyproject.toml"),
+                   "--verdicts", str(verdicts), *tests]  # fmt: skip
+        command += ["--order", str(order)] if order else []
+        command += ["-x"] if first_failure else []
+        code = self._call(command, limit=100.0 * limit).returncode
+        rows = [json.loads(line) for line in verdicts.read_text().splitlines()] if verdicts.exists() else []
+        return judge(code, rows), rows
+
+    def _call(self, command: list[str], *, check: bool = False, limit: float = 600.0) -> subprocess.CompletedProcess:
+        paths = [self.folder / "src", self.folder, *(p for p in sys.path if p.endswith("-packages"))]
+        tools = f"{self._tools}{os.pathsep}{os.environ.get('PATH', '')}"
+        more = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "PATH": tools, "PYTHONDONTWRITEBYTECODE": "1",
+                "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
+        return subprocess.run(
+            command, cwd=self.folder, env={**os.environ, **more}, capture_output=True, timeout=limit, check=check
+        )
+
+
+def meaning(text: str) -> str:
+    """A Python source without what nobody evaluates: the types of a function's parameters and of what it returns."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+    return ast.dump(tree)
+
+
+def judge(code: int, rows: list[dict]) -> Verdict:
+    """From pytest's exit code (negative: a signal) and what each test did to a verdict."""
+    last, seconds = (rows[-1]["test"], rows[-1]["cpu"]) if rows else ("collection", 0.0)
+    failed = next((row["test"] for row in rows if row.get("outcome") == "failed"), "")
+    if failed:
+        return Verdict(True, "test", failed, seconds)
+    if code == 0:
+        return Verdict(False, "", "", seconds)
+    if code in (-signal.SIGXCPU, -signal.SIGKILL):
+        return Verdict(True, "timeout", last, seconds)
+    return Verdict(True, "crash" if code < 0 else "error", last, seconds)
