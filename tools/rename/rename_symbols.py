@@ -159,14 +159,42 @@ def modules_of(tables: list[Path]) -> dict[str, Path]:
     return found
 
 
+def write(edits: dict[Path, dict[tuple[int, int, int], str]]) -> None:
+    """Replace every range by its new text."""
+    for file, changes in edits.items():
+        lines = file.read_text().splitlines(keepends=True)
+        for (line, begin, end), new in sorted(changes.items(), reverse=True):
+            lines[line] = lines[line][:begin] + new + lines[line][end:]
+        file.write_text("".join(lines))
+
+
+def apply_dumps(paths: list[Path]) -> int:
+    """Apply the edits of several dumps that were computed on this state of the tree; 1 if two of them disagree."""
+    edits: dict[Path, dict[tuple[int, int, int], str]] = {}
+    clashes = 0
+    for path in paths:
+        for file, line, begin, end, new in json.loads(path.read_text()):
+            before = edits.setdefault(ROOT / file, {}).setdefault((line, begin, end), new)
+            if before != new:
+                clashes += 1
+                sys.stdout.write(f"{file}:{line + 1}: {before} or {new}\n")
+    write(edits)
+    sys.stdout.write(f"{sum(map(len, edits.values()))} edits in {len(edits)} files, {clashes} clashes\n")
+    return 1 if clashes else 0
+
+
 def main() -> int:  # noqa: C901, PLR0912, PLR0915  (one pass, told step by step)
     """Compute all renames, then write them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--modules", type=Path, action="append", default=[])
     parser.add_argument("--server", default=".venv/bin/basedpyright-langserver")
     parser.add_argument("--dry-run", action="store_true")
-    parser.add_argument("tables", type=Path, nargs="+")
+    parser.add_argument("--dump", type=Path, help="write the edits as JSON instead of applying them")
+    parser.add_argument("--apply", type=Path, nargs="*", help="apply dumped edits")
+    parser.add_argument("tables", type=Path, nargs="*")
     asked = parser.parse_args()
+    if asked.apply:
+        return apply_dumps(asked.apply)
     modules = modules_of(asked.modules)
     entries = [one for table in asked.tables for one in tomllib.loads(table.read_text()).get("symbol", [])]
     server = Server([asked.server, "--stdio"])
@@ -215,12 +243,11 @@ def main() -> int:  # noqa: C901, PLR0912, PLR0915  (one pass, told step by step
                 edits[file][key] = edit["newText"]
         if count % 50 == 0:
             sys.stderr.write(f"{count}/{len(entries)}\n")
-    if not asked.dry_run:
-        for file, changes in edits.items():
-            lines = file.read_text().splitlines(keepends=True)
-            for (line, begin, end), new in sorted(changes.items(), reverse=True):
-                lines[line] = lines[line][:begin] + new + lines[line][end:]
-            file.write_text("".join(lines))
+    if asked.dump:
+        rows = [[str(file.relative_to(ROOT)), *key, new] for file, found in edits.items() for key, new in found.items()]
+        asked.dump.write_text(json.dumps(rows))
+    elif not asked.dry_run:
+        write(edits)
     sys.stdout.write("\n".join([*failed, f"{len(entries)} symbols, {len(edits)} files, {len(failed)} remarks"]) + "\n")
     server.process.terminate()
     return 0
